@@ -10,7 +10,7 @@ INSTALLED := build/installed
 # PyTorch's own index has builds without CUDA, which save 6 GB where there is no NVIDIA GPU.
 TORCH_CPU ?= https://download.pytorch.org/whl/cpu
 
-.PHONY: setup browser demo paper test test-extensions test-all test-fast test-slow core-alone check wheel wheel-check docs bench gpu attack clean
+.PHONY: setup browser demo paper test test-extensions test-all test-fast test-slow core-alone check site-check wheel wheel-check docs bench gpu attack clean
 
 setup: $(VENV)/.complete
 
@@ -50,6 +50,14 @@ check: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# The types of the pages' scripts, by TypeScript, which npm fetches once into build/; no other target needs Node.js.
+TYPESCRIPT := 5.9.3
+site-check:
+	@command -v npm >/dev/null || { echo "make site-check needs Node.js with npm (Debian: nodejs npm)"; exit 2; }
+	@test -x build/typescript-$(TYPESCRIPT)/node_modules/.bin/tsc || \
+	  npm install --silent --no-audit --no-fund --prefix build/typescript-$(TYPESCRIPT) typescript@$(TYPESCRIPT)
+	build/typescript-$(TYPESCRIPT)/node_modules/.bin/tsc --checkJs --strict --noEmit --project tests/leaderboard/site
 
 # ruff, mypy, the core's tests and a golden path of each extension. Installs nothing beside the packages of set-up:
 # without Chromium the tests in a browser are skipped.

@@ -1,11 +1,11 @@
-"""The parts cover each test once, and a change finds the tests of its folder."""
+"""The parts cover each test once, each extension has a golden path, and a change finds the tests of its folder."""
 
 import subprocess
 from pathlib import Path
 
 import pytest
 
-from tests.parts import PARTS, list_changed, select_touched
+from tests.parts import PARTS, ROOT, list_changed, select_touched
 
 pytest_plugins = ["pytester"]
 
@@ -43,6 +43,16 @@ def test_no_test_starts_after_the_budget(pytester: pytest.Pytester) -> None:
     pytester.makepyfile("def test_a(): pass\n\ndef test_b(): pass\n")
     for budget, outcomes in (("0", {"skipped": 2}), ("1000", {"passed": 2})):
         pytester.runpytest("--budget", budget, "-p", "no:cacheprovider").assert_outcomes(**outcomes)
+
+
+def test_each_extension_has_a_golden_path() -> None:
+    folders = sorted(path for path in ROOT.glob("tests/*/extensions/*/") if list(path.glob("test_*.py")))
+    without = [
+        str(folder.relative_to(ROOT))
+        for folder in folders
+        if not any("pytest.mark.path" in path.read_text() for path in folder.glob("test_*.py"))
+    ]
+    assert not without
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ The ego is between the stored states, half a second apart, where a cubic through
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -26,12 +26,14 @@ from benchmark.records.drive_schema import EpisodeRow
 from benchmark.records.drives import DriveRecord
 from benchmark.records.scene_pages import PageAgent, ScenePage, ScenePages
 from benchmark.records.search_trace import SearchTraceFrame, read_search_trace
+from benchmark.report.cells import format_number
 from benchmark.report.overlays import find_shared_point, rank_candidates
 from benchmark.report.placement import agent_box, agent_box_at, ego_box, ego_pose, frame_seconds, place_waypoints
 from leaderboard.frame.drives import group_comparable_drives
+from leaderboard.frame.rows import name_cell
 from leaderboard.site.packing import CENTIMETRE, DECIMETRE, MILLIRADIAN, encode_script, pack_path, pack_series
 from leaderboard.site.scene_data import build_agent
-from leaderboard.site.scene_index import scene_key
+from leaderboard.site.scene_facts import scene_key
 from leaderboard.site.scene_plans import ERROR_CHARACTERS
 
 _SCENES: Final = "window.CHALLENGER_SCENES = window.CHALLENGER_SCENES || {}"
@@ -76,34 +78,50 @@ def build_drive_files(drives: Sequence[DriveRecord], sheets: ScenePages) -> dict
 def build_drive_index(drives: Sequence[DriveRecord], sheets: ScenePages) -> list[dict[str, Any]]:
     """Entries of drives for pages.
 
-    For each ``key`` (null without a sheet), ``scene`` (the scene's key), ``planner``, ``privileged``, ``miniature``,
-    ``world``, ``sensor``, ``family``, ``run``, ``runs``, ``end``, ``contact``, ``failure``, ``everybody``,
-    ``adversary`` (whether one that answers is shown where it went).
+    For each ``key`` (null without a sheet), ``scene`` (the scene's key), ``planner`` (with its marks), and in words
+    ``measured``, ``outcome`` and ``note`` (what its page shows).
     """
     entries = []
     for named_drive in _list_drives(drives):
         facts, row = named_drive.record.facts, named_drive.row
-        contact = None if row.contact is None else asdict(row.contact)
+        family = f", {row.family}" if row.family else ""
+        run = f", run {row.run}" if facts.runs > 1 else ""
         entries.append(
             {
                 "key": named_drive.key if _has_scene_page(named_drive, sheets) else None,
                 "scene": scene_key(named_drive.scene),
-                "planner": named_drive.name,
-                "privileged": facts.planner.privileged,
-                "miniature": facts.planner.miniature,
-                "world": facts.measured.world,
-                "sensor": facts.measured.sensor,
-                "family": row.family,
-                "run": row.run,
-                "runs": facts.runs,
-                "end": row.end,
-                "contact": contact,
-                "failure": None if row.failure is None else row.failure.reason,
-                "everybody": named_drive.shows_all_agents,
-                "adversary": _adversary_is_shown(named_drive, sheets),
+                "planner": name_cell(named_drive.name, facts.planner).text,
+                "measured": f"{facts.measured.world}{family}, sensor {facts.measured.sensor}{run}",
+                "outcome": _describe_outcome(row),
+                "note": _describe_view(named_drive, sheets),
             }
         )
     return entries
+
+
+def _describe_outcome(row: EpisodeRow) -> str:
+    if row.end == "failed":
+        return f"failed ({row.failure.reason if row.failure is not None else 'no reason given'}): nothing is scored"
+    if row.contact is None:
+        return "no contact"
+    contact = row.contact
+    whom = f"{contact.category}{', the adversary' if contact.adversary else ''}"
+    fault = "at fault" if contact.at_fault else "not at fault"
+    return f"contact after {format_number(contact.seconds, 1)} s with {whom}, {fault}"
+
+
+def _describe_view(named_drive: _NamedDrive, sheets: ScenePages) -> str:
+    moved = _adversary_is_shown(named_drive, sheets)
+    others = (
+        "The others are where the recording has them."
+        if named_drive.shows_all_agents
+        else f"Only the ego {'and the adversary are' if moved else 'is'} shown as driven: the record does not hold "
+        "where the others went. challenger-bench film --drives shows everybody."
+    )
+    return (
+        "Green is the driven ego, the pale dashes are the recorded path, the line with marks is the plan of each "
+        f"instant. {'Orange is the adversary as it drove. ' if moved else ''}{others}"
+    )
 
 
 def _list_drives(drives: Sequence[DriveRecord]) -> Iterator[_NamedDrive]:
@@ -158,6 +176,9 @@ def _build_drive(named_drive: _NamedDrive, sheet: ScenePage) -> dict[str, Any]:
         ),
         "contact": contact,
         "protocols": [],
+        "shown": [],
+        "closest": None if contact is None else contact["t"],
+        "apart": [],
         "cameras": [],
         "pictures": [],
         "edges": {},
@@ -233,9 +254,8 @@ def _build_plans(named_drive: _NamedDrive, seconds: Floats, ticks: Floats, state
         plan_entries.append(_build_plan(np.array(plan.waypoints, np.float64), plan.frame, states[number, :3]))
     model = {
         "name": named_drive.name,
-        "privileged": planner.privileged,
-        "miniature": planner.miniature,
-        "native": None,
+        "shown": name_cell(named_drive.name, planner).text,
+        "first": [],
         "samples": plan_entries,
     }
     return {"samples": samples, "models": [model]}
@@ -249,8 +269,7 @@ def _build_plan(waypoints: Floats, frame: str, axle: Floats) -> dict[str, Any] |
     return {
         "path": pack_path(np.vstack([start, placed.waypoints]), CENTIMETRE),
         "yaw": pack_series(placed.at_waypoints[:, 4].tolist(), MILLIRADIAN),
-        "verdicts": [],
-        "contact": [],
+        "judged": [],
     }
 
 

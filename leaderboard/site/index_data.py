@@ -1,7 +1,7 @@
 """The site's index: everything that is shown without loading a scene, with planners' runs, rates and scores."""
 
 import json
-import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -10,51 +10,63 @@ from urllib.parse import quote
 from benchmark.machine.storage import sanitise_file_name
 from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.effect import attributes_contacts, find_touched_scenes, knows_contact_partners
-from benchmark.metrics.rates import Rate
-from benchmark.metrics.scores import find_protocol_version
-from benchmark.records.driving import SUB_SCORES, TOTALS, VERSION
+from benchmark.metrics.rates import HORIZONS
+from benchmark.records.driving import PDM, SUB_SCORES
 from benchmark.records.planner_versions import list_file_notes
 from benchmark.records.run import RunRecord
-from benchmark.records.run_schema import DrivingSummary, ProtocolSummary
-from benchmark.records.scene_assessment import DRIVER_NAMES
 from benchmark.records.scene_pages import ScenePages
-from benchmark.report.cells import MINIATURE_WORDS, CellSource, TableCell, format_number
+from benchmark.report.cells import MINIATURE_WORDS, TableCell
 from benchmark.report.table import Table
+from benchmark.report.words import pluralise
 from leaderboard.frame.results import LeaderboardResults
 from leaderboard.frame.rows import PRIVILEGED_NOTE, count_recordings, list_splits, name_cell, sort_for_tables
 from leaderboard.frame.runs import DataSetRuns
 from leaderboard.frame.specification import TableColumn, Value, group_columns, number_columns, tabulate, text_columns
 from leaderboard.site.drive_data import build_drive_index
-from leaderboard.site.scene_index import build_scene_index, scene_key
+from leaderboard.site.scene_facts import scene_key
+from leaderboard.site.scene_index import build_scene_index
+from leaderboard.site.scene_words import LEGEND, list_filters, list_orders
+from leaderboard.site.start_page import build_starts
+from leaderboard.site.table_entries import OriginTable, sort_protocols, table_entry
 from leaderboard.tables.collision import collision_table
 from leaderboard.tables.effect import effect_table
-from leaderboard.tables.scenario_assessment import DRIVER_HEADS
-
-_SHOWN_COLUMNS: Final = ("collision", "l2")
-_DIGITS: Final = 6
-"""Decimals of rates: pages show two of a percentage."""
 
 
 def build_model_index(records: Sequence[RunRecord]) -> list[dict[str, Any]]:
-    """Planners in the order of tables, of at most one record for each data set, split and planner."""
+    """Planners in the order of tables, of at most one record for each data set, split and planner.
+
+    ``name``, ``shown`` (with its marks), ``lead`` (sentences), ``data`` (data sets), ``facts`` and ``runs`` (a title
+    and facts each); a fact is a term and a text, and ``code`` where it is a hash.
+    """
     runs_of: dict[str, list[RunRecord]] = {}
     for record in sort_for_tables(records):
         runs_of.setdefault(record.planner, []).append(record)
     return [
         {
             "name": name,
-            "privileged": runs[0].run.planner.privileged,
-            "miniature": runs[0].run.planner.miniature,
-            "nativeProtocol": runs[0].run.planner.native_protocol,
-            "facts": {
-                "seed": runs[0].run.planner.seed,
-                "settings": _to_texts(runs[0].run.planner.settings),
-                "weights": runs[0].run.planner.weights_sha256,
-            },
+            "shown": name_cell(name, runs[0].run.planner).text,
+            "lead": _describe_planner(runs[0]),
+            "data": list(dict.fromkeys(run.run.data.name for run in runs)),
+            "facts": [
+                ["weights, SHA-256", runs[0].run.planner.weights_sha256 or "none", "code"],
+                ["seed", str(runs[0].run.planner.seed)],
+                *_list_known("settings", "; ", ": ", runs[0].run.planner.settings),
+            ],
             "runs": [_run_entry(record) for record in runs],
         }
         for name, runs in runs_of.items()
+    ]
+
+
+def _describe_planner(record: RunRecord) -> list[str]:
+    facts = record.run.planner
+    own = facts.native_protocol
+    return [
+        *(["A reference: it is privileged (sees boxes, the map or the recorded future)."] if facts.privileged else []),
+        *([f"{MINIATURE_WORDS}."] if facts.miniature else []),
+        f"Protocol of its own repository: {own}."
+        if own
+        else "It has no repository of its own, so that its own protocol is exact.",
     ]
 
 
@@ -63,79 +75,30 @@ def _run_entry(record: RunRecord) -> dict[str, Any]:
     run, summary = record.run, record.summary
     environment = run.environment
     source = _to_texts(environment.get("source") or {})
+    commit = source.get("commit")
+    changes = " with changes" if source.get("dirty") == "true" else ""
+    samples, scenes = pluralise(summary.samples, "sample"), pluralise(len(run.scenes), "scene")
     return {
-        "record": record.content_id,
-        "data": run.data.name,
-        "split": run.split,
-        "fingerprint": run.data.fingerprint,
-        "code": run.planner.code_sha256,
-        "commit": source.get("commit"),
-        "dirty": source.get("dirty"),
-        "hardware": _to_texts(environment.get("hardware") or {}),
-        "packages": _to_texts(environment.get("packages") or {}),
-        "rescored": run.rescored is not None,
-        "samples": summary.samples,
-        "failed": summary.failed,
-        "coverage": summary.coverage,
-        "scenes": len(run.scenes),
-        "scenesInSplit": run.scenes_in_split,
-        "recordings": count_recordings(record),
-        "protocols": {
-            name: {
-                **_protocol_entry(of_protocol, stale=name in record.stale_protocols),
-                "scenesHit": _count_scenes_hit(record, name),
-            }
-            for name, of_protocol in summary.protocols.items()
-        },
-        "driving": None if summary.driving is None else _driving_entry(summary.driving),
-        **({} if run.plans_from is None else {"plansFrom": list_file_notes([record])[0]}),
+        "title": f"{run.data.name}, {run.split}: {samples} of {scenes}",
+        "facts": [
+            ["record", record.content_id, "code"],
+            ["data, fingerprint", run.data.fingerprint, "code"],
+            *([["code, SHA-256", run.planner.code_sha256, "code"]] if run.planner.code_sha256 else []),
+            ["commit", f"{commit}{changes}", "code"] if commit else ["commit", "not known"],
+            ["scenes", f"{len(run.scenes)} of {run.scenes_in_split}, from {count_recordings(record)} recordings"],
+            ["samples without a plan", str(summary.failed)],
+            *([] if run.plans_from is None else [["plans", list_file_notes([record])[0]]]),
+            ["judged anew since", "no" if run.rescored is None else "yes"],
+            *_list_known("machine", "; ", ": ", environment.get("hardware") or {}),
+            *_list_known("packages", ", ", " ", environment.get("packages") or {}),
+        ],
     }
 
 
-def _driving_entry(summary: DrivingSummary) -> dict[str, Any]:
-    return {
-        "version": summary.version,
-        "stale": summary.version != VERSION,
-        "counted": summary.counted,
-        "means": {name: _rate_entry(summary.columns[name]["mean"]) for name in (*TOTALS, *SUB_SCORES)},
-    }
-
-
-def _count_scenes_hit(record: RunRecord, protocol: str) -> list[int] | None:
-    """Numbers of scenes that touch the adversary first, and of scenes where that is said."""
-    is_known = (
-        attributes_contacts(record)
-        and find_protocol_version(protocol) is not None
-        and knows_contact_partners(record, protocol)
-    )
-    if not is_known:
-        return None
-    verdicts = find_touched_scenes(record, protocol).values()
-    return [sum(failed is True for failed in verdicts), sum(failed is not None for failed in verdicts)]
-
-
-def _protocol_entry(summary: ProtocolSummary, *, stale: bool) -> dict[str, Any]:
-    shown_columns = {name: summary.columns[name] for name in _SHOWN_COLUMNS if name in summary.columns}
-    return {
-        "version": summary.version,
-        "stale": stale,
-        "counted": summary.counted,
-        "scenesFailed": summary.scenes_failed,
-        "scenesDecided": summary.scenes_decided,
-        **{
-            name: {horizon: _rate_entry(rate) for horizon, rate in by_horizon.items()}
-            for name, by_horizon in shown_columns.items()
-        },
-    }
-
-
-def _rate_entry(rate: Rate) -> dict[str, float | int | None]:
-    return {
-        "value": _round_value(rate.value),
-        "low": _round_value(rate.low),
-        "high": _round_value(rate.high),
-        "n": rate.denominator,
-    }
+def _list_known(term: str, between: str, after: str, facts: Any) -> list[list[str]]:
+    """The fact of many in one line, if there are any."""
+    words = between.join(f"{name}{after}{value}" for name, value in _to_texts(facts).items())
+    return [[term, words]] if words else []
 
 
 def _to_texts(facts: Any) -> dict[str, str | None]:
@@ -149,12 +112,10 @@ def _to_text(value: Any) -> str | None:
     return value if value is None or isinstance(value, str) else json.dumps(value)
 
 
-def _round_value(value: float | None) -> float | None:
-    return None if value is None else round(value, _DIGITS)
-
-
 TITLE: Final = "challenger-bench"
 _FORMATS: Final = (".csv", ".tex", ".json")
+_OF_PLANNER: Final = ("collision-", "effect", "diagnosis", PDM)
+"""First words of the names of tables whose rows a planner's page shows."""
 RATES: Final = {"average": "col. avg", "95 %": "95 % of avg"}
 """Columns here, and of the table of collision rates that they are taken from."""
 EFFECT: Final = {"adversary": "adversary 3s", "difference": "difference", "95 %": "95 % of difference"}
@@ -195,19 +156,38 @@ class PlacedFigure:
 def build_index(
     results: LeaderboardResults, tables: Sequence[PlacedTable], figures: Sequence[PlacedFigure], written: frozenset[str]
 ) -> dict[str, Any]:
-    """The value of ``window.CHALLENGER`` in the order of pages; ``written`` are paths of the site's other files."""
-    protocols = {name for frame in results.frames for name in frame.protocols}
-    ids, origins = _table_ids(tables), _OriginTable()
-    return {
+    """The value of ``window.CHALLENGER`` in the order of pages; ``written`` are paths of tables and figures.
+
+    The ``page`` of each of its ``scenes`` belongs in the scene's script.
+    """
+    ids, origins = _table_ids(tables), OriginTable()
+    index: dict[str, Any] = {
         "title": TITLE,
-        "tables": [_table_entry(placed, ids[index], origins, written) for index, placed in enumerate(tables)],
+        "legend": LEGEND,
+        "protocols": sort_protocols(name for frame in results.frames for name in frame.protocols),
+        "tables": [_table_entry(placed, ids[number], origins, written) for number, placed in enumerate(tables)],
         "keyTables": _key_tables(results.frames, origins, written),
         "figures": [_figure_entry(figure, written) for figure in figures if figure.path in written],
-        "drivers": [[name, DRIVER_HEADS[name]] for name in DRIVER_NAMES],
         **{name: say(results, written) for name, say in LISTS.items()},
         "origins": origins.found,
         "words": origins.words,
-        "protocols": sorted(protocols, key=lambda name: (name != EXACT, name)),
+    }
+    scenes, planners = index["scenes"], [model["name"] for model in index["models"]]
+    outcomes = Counter(sorted(attempt["reason"] for attempt in index["attempts"]))
+    names = ("data", "split")
+    listed = {name: list(dict.fromkeys(attempt[name] for attempt in index["attempts"])) for name in names}
+    return index | {
+        "starts": build_starts(index, results.runs),
+        "sceneFilters": list_filters(scenes, planners),
+        "sceneOrders": list_orders(scenes),
+        "attemptFilters": [
+            {"name": "data", "label": "Data set", "any": "all", "choices": listed["data"]},
+            {"name": "split", "label": "Split", "any": "all", "choices": listed["split"]},
+            {"name": "reason", "label": "Outcome", "any": "all", "choices": list(outcomes)},
+        ],
+        "attemptTally": [
+            [outcome, outcomes[outcome]] for outcome in sorted(outcomes, key=lambda each: -outcomes[each])
+        ],
     }
 
 
@@ -222,9 +202,7 @@ def _figure_entry(figure: PlacedFigure, written: frozenset[str]) -> dict[str, An
     }
 
 
-def _key_tables(
-    frames: Sequence[DataSetRuns], origins: "_OriginTable", written: frozenset[str]
-) -> list[dict[str, Any]]:
+def _key_tables(frames: Sequence[DataSetRuns], origins: OriginTable, written: frozenset[str]) -> list[dict[str, Any]]:
     """Table of the first page of each data set."""
     key_tables = [(frame.data_name, build_key_table(frame)) for frame in frames]
     placed = [PlacedTable(table, name, "", "") for name, table in key_tables if table is not None]
@@ -241,64 +219,20 @@ def _table_ids(tables: Iterable[PlacedTable]) -> list[str]:
     return ids
 
 
-def _table_entry(placed: PlacedTable, name: str, origins: "_OriginTable", written: frozenset[str]) -> dict[str, Any]:
+def _table_entry(placed: PlacedTable, name: str, origins: OriginTable, written: frozenset[str]) -> dict[str, Any]:
     table = placed.table
     stem = f"{placed.folder}/{sanitise_file_name(table.name)}"
+    heads = list(HORIZONS[:3]) if table.name.startswith("collision-") else []
+    heads = [f"col. {head}" for head in heads] or [*map(str.upper, SUB_SCORES)] * (table.name == PDM)
     return {
-        "id": name,
+        **table_entry(table, name, origins),
         "data": placed.data_name,
         "group": placed.group,
-        "title": table.title,
-        "columns": table.columns,
-        "textColumns": table.text_columns,
-        "rows": table.rows,
-        "groups": table.groups,
-        "cells": None if table.cells is None else [[origins.cell(cell) for cell in row] for row in table.cells],
-        "notes": table.remarks,
         "files": {suffix[1:]: quote(stem + suffix) for suffix in _FORMATS if stem + suffix in written},
+        "judge": table.name.removeprefix("collision-") if table.name.startswith("collision-") else None,
+        "chart": [table.columns.index(head) for head in heads if head in table.columns],
+        "ofPlanner": table.name.startswith(_OF_PLANNER),
     }
-
-
-class _OriginTable:
-    """Common parts of many cells, written once: cells name its place as ``record``.
-
-    `found` has for each origin the places of its unit, of what is counted, of its protocol, record and source among the
-    words; -1 where there is none.
-    """
-
-    def __init__(self) -> None:
-        self._origins: dict[tuple[int, ...], int] = {}
-        self._words: dict[str, int] = {}
-
-    @property
-    def found(self) -> list[list[int]]:
-        """Places of the facts of each origin among the words."""
-        return [list(origin) for origin in self._origins]
-
-    @property
-    def words(self) -> list[str]:
-        """Texts, each once."""
-        return list(self._words)
-
-    def cell(self, cell: CellSource | None) -> dict[str, Any] | None:
-        """The facts behind a number, whose text is in the row; what there is none of is left out."""
-        if cell is None:
-            return None
-        origin_values = (cell.unit, cell.of, cell.protocol, cell.record, cell.source)
-        origin = tuple(-1 if word is None else self._words.setdefault(word, len(self._words)) for word in origin_values)
-        numbers = {"low": cell.low, "high": cell.high, "n": cell.n}
-        rounded = {name: _round_significant(value) for name, value in numbers.items() if value is not None}
-        return {**rounded, "record": self._origins.setdefault(origin, len(self._origins))}
-
-
-def _round_significant(value: float) -> float | int | str:
-    """Four digits: more than pages show."""
-    if isinstance(value, int):
-        return value
-    if not math.isfinite(value):
-        return format_number(value)
-    short = float(f"{value:.4g}")
-    return int(short) if short.is_integer() else short
 
 
 def _attempt_entries(sheets: ScenePages) -> list[dict[str, Any]]:
@@ -313,7 +247,7 @@ def _attempt_entries(sheets: ScenePages) -> list[dict[str, Any]]:
                 "agent": attempt.agent,
                 "scene": attempt.scene,
                 "key": scene_key((data_name, split, attempt.scene)) if attempt.scene is not None else None,
-                "reason": attempt.discarded,
+                "reason": attempt.discarded or ("kept" if attempt.scene is not None else "not said"),
                 "manoeuvre": attempt.manoeuvre,
             }
             attempts.append({name: value for name, value in facts.items() if value is not None})

@@ -4,7 +4,7 @@ A script holds an object with these members; lengths are packed (`leaderboard.si
 in milliradians, in the sheet's local frame, unless said otherwise:
 
 * ``key, data, split, scene, source, manoeuvre, description, labels, hasSheet, adversarial`` (whether its
-  records are of a split with adversaries), ``origin`` (metres, global);
+  records are of a split with adversaries), ``origin`` (metres, global), ``page`` (`leaderboard.site.scene_index`);
 * ``frames``: seconds from the first frame, one a frame of the player (12 Hz with a sheet, one a sample without);
 * ``samples``: ``{frame, t, command}`` of each sample, ``command`` 0 right, 1 left, 2 straight, null if no planner ran;
 * ``body``: ``{length, width, ahead}`` of the ego as protocols see it, ``ahead`` of the lidar origin, metres;
@@ -15,7 +15,9 @@ in milliradians, in the sheet's local frame, unless said otherwise:
   frame at the sample, which then is the local frame of that sample;
 * ``cameras, pictures, media, edges``: cells, frames with a picture, their folder, and for each such frame and number
   of a camera the edges of adversaries' boxes (four whole pixels each);
-* ``protocols``: names; ``models``: `leaderboard.site.scene_plans.build_planner_samples` of each planner, by name.
+* ``protocols``: names; ``models``: `leaderboard.site.scene_plans.build_planner_samples` of each planner, in the order
+  of tables; ``shown``: for each protocol who is shown at first; ``closest``: when an adversary is closest to the
+  recorded ego, seconds, null without one; ``apart``: `leaderboard.site.scene_plans.list_distances`.
 """
 
 from collections import defaultdict
@@ -30,7 +32,6 @@ import numpy as np
 from benchmark.constants import EGO_BOX_FROM_LIDAR_M, EGO_LENGTH_M, EGO_WIDTH_M
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, box_gap
-from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.effect import attributes_contacts
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord
@@ -47,9 +48,11 @@ from benchmark.report.birdseye import BirdseyeScene
 from benchmark.report.palette import ON_DARK, ON_LIGHT, GroundColours
 from benchmark.report.placement import agent_box, ego_box
 from benchmark.waypoints import points_in_ego
+from leaderboard.frame.rows import sort_for_tables
 from leaderboard.site.packing import CENTIMETRE, MILLIRADIAN, encode_script, pack_path, pack_series
-from leaderboard.site.scene_index import SceneName, scene_key
-from leaderboard.site.scene_plans import build_planner_samples
+from leaderboard.site.scene_facts import SceneName, scene_key
+from leaderboard.site.scene_plans import build_planner_samples, list_differing, list_distances
+from leaderboard.site.table_entries import sort_protocols
 
 _MICROSECONDS: Final = 1e6
 _SCENES: Final = "window.CHALLENGER_SCENES = window.CHALLENGER_SCENES || {}"
@@ -66,11 +69,13 @@ class _PlannerRun:
     rows: Mapping[str, SampleRow]
 
 
-def build_scene_files(sheets: ScenePages, records: Sequence[RunRecord]) -> dict[str, bytes | Path]:
+def build_scene_files(
+    sheets: ScenePages, records: Sequence[RunRecord], pages: Mapping[str, Any] | None = None
+) -> dict[str, bytes | Path]:
     """Files of every scene that a record or a sheet names; a path as value means a copy of that file.
 
     ``data/scenes/<key>.js``, ``media/<key>/cameras/<frame>.webp``, ``media/<key>/thumb.webp`` and
-    ``media/<key>/thumb-dark.webp`` below the site's folder.
+    ``media/<key>/thumb-dark.webp`` below the site's folder. `pages` are members of the scripts by key.
     """
     ran = _group_by_scene(records)
     files: dict[str, bytes | Path] = {}
@@ -83,7 +88,7 @@ def build_scene_files(sheets: ScenePages, records: Sequence[RunRecord]) -> dict[
             _PlannerRun(record, {row.sample_token: row for row in record.rows_of(name[2])})
             for record in ran.get(name, [])
         ]
-        data = _build_scene(name, key, stored, here)
+        data = _build_scene(name, key, stored, here) | {"page": (pages or {}).get(key)}
         files[f"data/scenes/{key}.js"] = encode_script(f'({_SCENES})["{key}"]', data)
         if stored is not None:
             files |= {
@@ -111,7 +116,7 @@ def _require_equal_lengths(stored: StoredScenePage) -> None:
 
 def _group_by_scene(records: Sequence[RunRecord]) -> dict[SceneName, list[RunRecord]]:
     records_by_scene: dict[SceneName, list[RunRecord]] = defaultdict(list)
-    for record in sorted(records, key=lambda record: record.planner):
+    for record in sort_for_tables(records):
         for scene in dict.fromkeys([*record.run.scenes, *record.columns.places_of_scenes]):
             records_by_scene[record.run.data.name, record.run.split, scene].append(record)
     return records_by_scene
@@ -121,10 +126,7 @@ def _build_scene(
     name: SceneName, key: str, stored: StoredScenePage | None, ran: Sequence[_PlannerRun]
 ) -> dict[str, Any]:
     data_name, split, scene = name
-    protocols = sorted(
-        {protocol for planner_run in ran for protocol in planner_run.record.run.protocols},
-        key=lambda each: (each != EXACT, each),
-    )
+    protocols = sort_protocols(protocol for planner_run in ran for protocol in planner_run.record.run.protocols)
     facts = {
         "key": key,
         "data": data_name,
@@ -144,11 +146,23 @@ def _build_scene(
         {"frame": frame, "t": seconds[frame], "command": commands.get(token)}
         for token, frame in zip(tokens, frames, strict=True)
     ]
+    times = [sample["t"] for sample in samples]
     models = [
-        build_planner_samples(planner_run.record, planner_run.rows, tokens, poses, protocols, agents)
+        build_planner_samples(planner_run.record, planner_run.rows, tokens, poses, times, protocols, agents)
         for planner_run in ran
     ]
-    return {**facts, **drawn, "samples": samples, "models": models}
+    closest = None
+    if stored is not None and any(agent.adversary for agent in stored.sheet.agents):
+        closest = seconds[find_closest_frame(stored.sheet)]
+    return {
+        **facts,
+        **drawn,
+        "samples": samples,
+        "models": models,
+        "shown": [list_differing(models, place) for place in range(len(protocols))],
+        "closest": closest,
+        "apart": list_distances(models, len(samples)),
+    }
 
 
 def _build_page_data(sheet: ScenePage, key: str) -> dict[str, Any]:

@@ -12,7 +12,9 @@ from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.effect import attributes_contacts
 from benchmark.records.row_schema import OutcomeRow, PlanRow, SampleRow
 from benchmark.records.run import RunRecord
+from benchmark.report.cells import format_number
 from benchmark.report.placement import PlacedForecasts, place_plan
+from leaderboard.frame.rows import name_cell
 from leaderboard.site.packing import CENTIMETRE, DECIMETRE, MILLIRADIAN, pack_path, pack_series
 
 MODES_SHOWN: Final = 12
@@ -22,8 +24,8 @@ FORECASTS_SHOWN: Final = 16
 STANDING_M: Final = 0.5
 """A forecast that stays nearer to its start than this is drawn as its box alone."""
 ERROR_CHARACTERS: Final = 240
-COUNTED: Final = 64
-"""Bit of a verdict above those of the six steps."""
+_HORIZONS: Final = (2, 4, 6)
+"""Steps up to 1, 2 and 3 s."""
 _CENTIRADIAN: Final = 0.01
 
 
@@ -32,27 +34,93 @@ def build_planner_samples(
     rows: Mapping[str, SampleRow],
     tokens: Sequence[str],
     poses: Floats,
+    times: Sequence[float],
     protocols: Sequence[str],
     agents: Mapping[str, int],
 ) -> dict[str, Any]:
     """One planner's part of a scene's script; a plan with lists of the wrong lengths is an `InputError`.
 
-    ``name``, ``privileged``, ``miniature``, ``native`` and ``samples``: null where the record has no row, else
-    `build_sample`. `tokens` are the scene's samples in order, `poses` (S, 3) of the rear axle at these, local;
-    `protocols` are in the order of the verdicts; `agents` numbers by instance identifier.
+    ``name``, ``shown`` (the name with its marks), ``first`` (for each protocol when the first counted plan touches the
+    adversary, or without one anybody, seconds; null where none does), ``outcome`` (kind and words of the same under the
+    first protocol) and ``samples``: null where the record has no row, else `build_sample`. `tokens` are the scene's
+    samples in order, `poses` (S, 3) of the rear axle at these, local, `times` their seconds; `protocols` are in the
+    order of the verdicts; `agents` numbers by instance identifier.
     """
     known = knows_adversaries(record) if attributes_contacts(record) else None
     entries = [
         None if token not in rows else build_sample(rows[token], pose, protocols, agents, known=known)
         for token, pose in zip(tokens, poses, strict=True)
     ]
+    adversarial = known is not None
     return {
         "name": record.planner,
-        "privileged": record.run.planner.privileged,
-        "miniature": record.run.planner.miniature,
-        "native": record.native_protocol,
+        "shown": name_cell(record.planner, record.run.planner).text,
+        "first": [_find_first_moment(entries, times, place, "xX") for place in range(len(protocols))],
+        "outcome": _describe_outcome(entries, times, adversarial=adversarial) if protocols else ["", ""],
         "samples": entries,
     }
+
+
+def _find_first_moment(
+    entries: Sequence[Mapping[str, Any] | None], times: Sequence[float], protocol: int, marks: str
+) -> float | None:
+    judged = ((time, entry["judged"][protocol]) for time, entry in zip(times, entries) if entry and "judged" in entry)
+    moments = [
+        time + verdict[2]
+        for time, verdict in judged
+        if verdict and verdict[1] and len(verdict) > 2 and verdict[0][-1] in marks
+    ]
+    return min(moments, default=None)
+
+
+def _describe_outcome(
+    entries: Sequence[Mapping[str, Any] | None], times: Sequence[float], *, adversarial: bool
+) -> list[str]:
+    """What a planner's plans come to: kind and words."""
+    contact, other, unsaid = (_find_first_moment(entries, times, 0, marks) for marks in ("xX", "a", "w"))
+    if contact is not None:
+        return ["bad", f"✕ would {'hit the adversary' if adversarial else 'collide'} at {format_number(contact, 1)} s"]
+    if other is not None:
+        return ["other", f"◇ would hit another than the adversary at {format_number(other, 1)} s"]
+    return ["good", "○ stays clear"] if unsaid is None else ["open", "– would collide; with whom is not said"]
+
+
+def list_differing(models: Sequence[Mapping[str, Any]], protocol: int) -> list[str]:
+    """Planners, privileged ones last, whose verdicts differ: two that fail and one that does not.
+
+    Where nobody differs, the first ones, those that fail before the others.
+    """
+    ran = [model for model in models if any(model["samples"])]
+    failing = [model["name"] for model in ran if model["first"][protocol] is not None]
+    others = [model["name"] for model in ran if model["first"][protocol] is None]
+    clear = [model["name"] for model in ran if model["name"] in others and _is_judged(model, protocol)]
+    chosen = [*failing[:2], *clear][:3] if failing and clear else [*failing, *others][:3]
+    return [model["name"] for model in ran if model["name"] in chosen]
+
+
+def _is_judged(model: Mapping[str, Any], protocol: int) -> bool:
+    verdicts = [entry["judged"][protocol] for entry in model["samples"] if entry and "judged" in entry]
+    return any(verdict and verdict[1] for verdict in verdicts)
+
+
+def list_distances(models: Sequence[Mapping[str, Any]], samples: int) -> list[list[list[list[str] | None]]]:
+    """How far plans are apart after 1, 2 and 3 s, metres in words: of each model with each later one, by sample."""
+    places = np.full((len(models), samples, len(_HORIZONS), 2), np.nan)
+    for number, model in enumerate(models):
+        for sample, entry in enumerate(model["samples"]):
+            if entry and "path" in entry:
+                path = np.cumsum(np.reshape(entry["path"], (-1, 2)), axis=0) * CENTIMETRE
+                places[number, sample] = path[list(_HORIZONS)]
+    return [
+        [
+            [
+                None if np.isnan(apart[0]) else [format_number(metres) for metres in apart.tolist()]
+                for apart in np.hypot(*np.moveaxis(places[first] - places[second], -1, 0))
+            ]
+            for second in range(first + 1, len(models))
+        ]
+        for first in range(len(models))
+    ]
 
 
 def build_sample(
@@ -63,12 +131,10 @@ def build_sample(
     ``failed``, the last line of the error, alone where the planner raised. Else ``path`` and ``yaw`` (lidar origin at
     the sample and at the six waypoints, heading at the latter), ``modes`` (paths without the first point),
     ``forecasts`` (x, y, length and width in decimetres, yaw in hundredths of a radian, and the path in decimetres if it
-    moves), ``verdicts`` (for each protocol six bits, the first step lowest, and `COUNTED`; null if it did not judge or
-    the surroundings are not annotated), ``contact`` (seconds to each protocol's first contact, or null), ``whom`` (on a
-    split with adversaries, if there is a contact: for each protocol 1 where it is with an adversary, 0 where it is with
-    another object, null where unknown), ``cause``, ``reason``, ``hit`` and ``l2`` (metres at the six steps; null past
-    the recording). Every plan has ``path`` and ``yaw``, ``verdicts`` and ``contact``; what there is none of beyond them
-    is left out.
+    moves), ``judged`` (for each protocol its marks within 1, 2 and 3 s, 1 if the sample is counted, and where there is
+    a contact the seconds to the first one, as a number and in words; null if it did not judge or the surroundings are
+    not annotated), ``cause``, ``reason``, ``hit`` and ``l2`` (metres after 1, 2 and 3 s, in words). Every plan has
+    ``path``, ``yaw`` and ``judged``; what there is none of beyond them is left out.
 
     `axle` is the (3,) pose of the rear axle at the sample, local; `known` says, on a split with adversaries, whether
     the record tells who they are; `protocols` and `agents` as in `build_planner_samples`.
@@ -83,16 +149,13 @@ def build_sample(
     always: dict[str, Any] = {
         "path": pack_path(np.vstack([start, placed.waypoints]), CENTIMETRE),
         "yaw": pack_series(placed.at_waypoints[:, 4].tolist(), MILLIRADIAN),
-        "verdicts": [_encode_verdict(name, outcome) for name, outcome in zip(protocols, judged)],
-        "contact": [_find_first_contact(name, outcome, row) for name, outcome in zip(protocols, judged, strict=True)],
+        "judged": [_judge(name, outcome, row, known) for name, outcome in zip(protocols, judged, strict=True)],
     }
     sometimes: dict[str, Any] = {
         "modes": [pack_path(mode, CENTIMETRE, begin) for mode in placed.modes[:MODES_SHOWN]],
         "forecasts": [] if placed.forecasts is None else _pack_forecasts(placed.forecasts, axle),
         "l2": _find_displacements(judged),
     }
-    if known is not None and any(contact is not None for contact in always["contact"]):
-        sometimes["whom"] = [_find_contact_object(outcome) if known else None for outcome in judged]
     if row.diagnosis is not None:
         sometimes |= {"cause": row.diagnosis.cause, "reason": row.diagnosis.reason}
         sometimes["hit"] = agents.get(row.diagnosis.hit)
@@ -128,33 +191,28 @@ def _pack_forecasts(forecasts: PlacedForecasts, axle: Floats) -> list[list[Any]]
     return packed
 
 
-def _encode_verdict(protocol: str, outcome: OutcomeRow | None) -> int | None:
+def _judge(protocol: str, outcome: OutcomeRow | None, row: SampleRow, known: bool | None) -> list[Any] | None:
     if outcome is None or outcome.collision is None:
         return None
-    steps = sum(1 << step for step, collides in enumerate(outcome.collision) if collides)
+    hits = outcome.collision
+    mark = "x" if known is None else {True: "X", False: "a", None: "w"}[outcome.touches_adversary if known else None]
+    marks = "".join(mark if any(hits[:steps]) else "o" for steps in _HORIZONS)
     # Without contact up to a gap in the recording, the verdict on the whole sample is unknown.
-    unknown = protocol == EXACT and outcome.cut_short and not steps
-    return steps + (COUNTED if outcome.counted and not unknown else 0)
-
-
-def _find_first_contact(protocol: str, outcome: OutcomeRow | None, row: SampleRow) -> float | None:
-    """Seconds from the sample; protocols other than ``exact`` look at waypoints only."""
-    if outcome is None or outcome.collision is None or not any(outcome.collision):
-        return None
+    unknown = protocol == EXACT and outcome.cut_short and not any(hits)
+    counted = int(outcome.counted and not unknown)
+    if not any(hits):
+        return [marks, counted]
+    # Protocols other than ``exact`` look at waypoints only.
+    seconds = PLAN_STEP_S * (hits.index(True) + 1)
     if protocol == EXACT and row.diagnosis is not None:
-        return round(row.diagnosis.first_contact_s, 2)
-    return PLAN_STEP_S * (outcome.collision.index(True) + 1)
+        seconds = row.diagnosis.first_contact_s
+    return [marks, counted, round(seconds, 2), f"{format_number(seconds, 1)} s"]
 
 
-def _find_contact_object(outcome: OutcomeRow | None) -> int | None:
-    adversary = None if outcome is None else outcome.touches_adversary
-    return None if adversary is None else int(adversary)
-
-
-def _find_displacements(judged: Sequence[OutcomeRow | None]) -> list[float | None] | None:
-    """L2 at the steps: the same for all protocols, which differ in how they average it."""
+def _find_displacements(judged: Sequence[OutcomeRow | None]) -> list[str] | None:
+    """L2 at the horizons: the same for all protocols, which differ in how they average it."""
     first = next((outcome for outcome in judged if outcome is not None), None)
-    return None if first is None else [None if metres is None else round(metres, 2) for metres in first.l2]
+    return None if first is None else [format_number(first.l2[steps - 1]) for steps in _HORIZONS]
 
 
 def _find_last_line(error: str | None) -> str:

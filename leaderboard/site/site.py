@@ -1,6 +1,6 @@
 """The files of the site: pages, index and scenes."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Final
@@ -15,11 +15,6 @@ from leaderboard.site.scene_data import build_scene_files
 
 INDEX_PATH: Final = "data/index.js"
 """Written first: where it is, the folder is a site of ours."""
-PLAYER_FILES: Final[Sequence[Callable[[LeaderboardResults], Mapping[str, bytes | Path]]]] = (
-    lambda results: build_scene_files(results.sheets, results.runs),
-    lambda results: build_drive_files(results.drives, results.sheets),
-)
-"""Files of what the player shows."""
 _FRONT: Final = "index.html"
 _ASSETS: Final = (".html", ".css", ".js")
 _ASSETS_FOLDER: Final = Path(__file__).parent / "assets"
@@ -37,11 +32,12 @@ def build_site_files(
     path below the site's, so that the site can be moved alone.
     """
     copied = downloads or {}
-    scenes = {path: content for files in PLAYER_FILES for path, content in files(results).items()}
-    index = build_index(results, tables, figures, frozenset({*copied, *scenes}))
+    index = build_index(results, tables, figures, frozenset(copied))
+    pages = {scene["key"]: scene.pop("page") for scene in index["scenes"]}
+    scenes = build_scene_files(results.sheets, results.runs, pages) | build_drive_files(results.drives, results.sheets)
     assets = {path.name: path.read_bytes() for path in sorted(_ASSETS_FOLDER.iterdir()) if path.suffix in _ASSETS}
-    pages = {name: f"pages/{sanitise_file_name(name)}.html" for name in list_offers("page")}
-    links = "".join(f'<a href="{path}">{escape(name)}</a>\n' for name, path in pages.items())
+    extension_pages = {name: f"pages/{sanitise_file_name(name)}.html" for name in list_offers("page")}
+    links = "".join(f'<a href="{path}">{escape(name)}</a>\n' for name, path in extension_pages.items())
     assets[_FRONT] = assets[_FRONT].replace(b"</nav>", f"{links}</nav>".encode())
-    of_extensions = {path: call_extension("page", name, results).encode() for name, path in pages.items()}
+    of_extensions = {path: call_extension("page", name, results).encode() for name, path in extension_pages.items()}
     return {INDEX_PATH: encode_script("window.CHALLENGER", index), **assets, **copied, **scenes, **of_extensions}

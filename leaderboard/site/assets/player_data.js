@@ -1,278 +1,211 @@
 "use strict";
-/* The scene player, part 1: loads a scene's script and unpacks its numbers (leaderboard/site/packing.py). */
-(() => {
-  const player = (window.ChallengerPlayer = window.ChallengerPlayer ?? {});
-  const CENTIMETRE = 0.01, DECIMETRE = 0.1, MILLIRADIAN = 0.001, CENTIRADIAN = 0.01;
-  const SCENES_KEPT = 6;
-  const STEPS = 6, STEP_S = 0.5;
-  const COUNTED = 64;
-  const WHOM = ["other", "adversary"];
-  const KEY = /^[0-9a-f]{16}$/;
+/* The scene player: loads a scene's script and unpacks its numbers (leaderboard/site/packing.py). */
 
-  /**
-   * @param {(number|null)[]} steps @param {number} count @param {number} unit
-   * @returns {Float64Array} Values; NaN where there is none.
-   */
-  function unpack(steps, count, unit) {
-    const values = new Float64Array(count);
-    let now = 0;
-    for (let at = 0; at < count; at++) {
-      const step = at < steps.length ? steps[at] : 0;
-      if (step !== null) now += step;
-      values[at] = step === null ? NaN : now * unit;
-    }
-    return values;
+const CENTIMETRE = 0.01, DECIMETRE = 0.1, MILLIRADIAN = 0.001, CENTIRADIAN = 0.01;
+const SCENES_KEPT = 6;
+const STEPS = 6, STEP_S = 0.5;
+const KEY = /^[0-9a-f]{16}$/;
+
+/** @param {(number|null)[]} steps @param {number} count @param {number} unit
+ * @returns {Float64Array} Values; NaN where there is none. */
+function unpack(steps, count, unit) {
+  const values = new Float64Array(count);
+  let now = 0;
+  for (let at = 0; at < count; at++) {
+    const step = at < steps.length ? steps[at] : 0;
+    if (step !== null) now += step;
+    values[at] = step === null ? NaN : now * unit;
   }
+  return values;
+}
 
-  /**
-   * @param {number[]} steps x and y in turn. @param {number} unit @param {number} [x] @param {number} [y] Where it begins.
-   * @returns {Float64Array} x and y in turn, metres.
-   */
-  function unpackPath(steps, unit, x = 0, y = 0) {
-    const path = new Float64Array(steps.length);
-    let [nowX, nowY] = [Math.round(x / unit), Math.round(y / unit)];
-    for (let at = 0; at < steps.length; at += 2) {
-      nowX += steps[at];
-      nowY += steps[at + 1];
-      path[at] = nowX * unit;
-      path[at + 1] = nowY * unit;
-    }
-    return path;
+/** @param {number[]} steps x and y in turn. @param {number} unit @param {number} [x]
+ * @param {number} [y] Where it begins. @returns {Float64Array} x and y in turn, metres. */
+function unpackPath(steps, unit, x = 0, y = 0) {
+  const path = new Float64Array(steps.length);
+  let [nowX, nowY] = [Math.round(x / unit), Math.round(y / unit)];
+  for (let at = 0; at < steps.length; at += 2) {
+    nowX += steps[at];
+    nowY += steps[at + 1];
+    path[at] = nowX * unit;
+    path[at + 1] = nowY * unit;
   }
+  return path;
+}
 
-  /** @param {number[][][]} polygons @returns {Path2D} In metres. */
-  function areas(polygons) {
+/** @param {Path2D} path @param {number[]} steps Adds a line in metres. */
+function addLine(path, steps) {
+  const points = unpackPath(steps, CENTIMETRE);
+  for (let at = 0; at < points.length; at += 2) {
+    if (at) path.lineTo(points[at], points[at + 1]);
+    else path.moveTo(points[at], points[at + 1]);
+  }
+}
+
+/** @param {any} road @returns {Scene["ground"]} In metres; dividers by their paint. */
+function groundOf(road) {
+  /** @param {number[][][]} polygons */
+  const areas = (polygons) => {
     const path = new Path2D();
     for (const ring of polygons.flat()) {
-      const points = unpackPath(ring, CENTIMETRE);
-      for (let at = 0; at < points.length; at += 2) {
-        if (at) path.lineTo(points[at], points[at + 1]);
-        else path.moveTo(points[at], points[at + 1]);
-      }
+      addLine(path, ring);
       path.closePath();
     }
     return path;
+  };
+  /** @type {Map<string, Path2D>} */
+  const dividers = new Map();
+  for (const { paint, points } of road.dividers) {
+    const path = dividers.get(paint) ?? new Path2D();
+    addLine(path, points);
+    dividers.set(paint, path);
   }
+  const names = ["drivable", "crossings", "walkways", "carparks"];
+  return { areas: Object.fromEntries(names.map((name) => [name, areas(road[name])])), dividers };
+}
 
-  /** @param {{paint: string, points: number[]}[]} lines @returns {Map<string, Path2D>} By paint, in metres. */
-  function dividers(lines) {
-    /** @type {Map<string, Path2D>} */
-    const found = new Map();
-    for (const { paint, points } of lines) {
-      const path = found.get(paint) ?? new Path2D();
-      const way = unpackPath(points, CENTIMETRE);
-      for (let at = 0; at < way.length; at += 2) {
-        if (at) path.lineTo(way[at], way[at + 1]);
-        else path.moveTo(way[at], way[at + 1]);
-      }
-      found.set(paint, path);
-    }
+/** @param {string} category @returns {string} What decides its colour. */
+function agentKind(category) {
+  if (category === "vehicle.bicycle" || category === "vehicle.motorcycle") return "cycle";
+  if (category.startsWith("vehicle.")) return "vehicle";
+  return /^(human|animal)/.test(category) ? "person" : "thing";
+}
+
+/** @param {any} raw @returns {Agent[]} The objects of a scene; in a drive an adversary is where it went. Adversaries have
+ * a letter, with a number if there are several. */
+function agentsOf({ agents, moved }) {
+  const there = moved ? [...agents.filter((/** @type {any} */ { id }) => id !== moved.id), moved] : agents;
+  const several = there.filter((/** @type {any} */ { adversary }) => adversary).length > 1;
+  let number = 0;
+  return there.map((/** @type {any} */ raw) => {
+    const { id, category, size: [length, width], adversary, first, count } = raw;
+    number += adversary ? 1 : 0;
+    return {
+      id, kind: agentKind(category), adversary, letter: adversary ? `A${several ? number : ""}` : "", length, width, first,
+      count, reach: Math.hypot(length, width) / 2,
+      x: unpack(raw.x, count, CENTIMETRE), y: unpack(raw.y, count, CENTIMETRE), yaw: unpack(raw.yaw, count, MILLIRADIAN),
+    };
+  });
+}
+
+/** @param {number} x @param {number} y @param {number} yaw @param {Body} body @returns {Box} The ego's at a lidar's pose. */
+function boxAt(x, y, yaw, { length, width, ahead }) {
+  return { x: x + ahead * Math.cos(yaw), y: y + ahead * Math.sin(yaw), yaw, length, width };
+}
+
+/** Where the ego's rectangle is along a plan: linear between waypoints, the heading by the shortest arc.
+ * @param {Plan} plan @param {number} seconds After the sample. @param {Body} body @param {number} startYaw */
+function bodyAlong(plan, seconds, body, startYaw) {
+  const place = Math.min(Math.max(seconds / STEP_S, 0), STEPS);
+  const before = Math.min(Math.floor(place), STEPS - 1);
+  const share = place - before;
+  /** @param {number} at */
+  const between = (at) => plan.path[at] * (1 - share) + plan.path[at + 2] * share;
+  const from = before ? plan.yaw[before - 1] : startYaw;
+  const turn = plan.yaw[before] - from;
+  const yaw = from + share * Math.atan2(Math.sin(turn), Math.cos(turn));
+  return boxAt(between(2 * before), between(2 * before + 1), yaw, body);
+}
+
+/** @param {any} raw @param {Body} body @returns {Plan} */
+function planOf(raw, body) {
+  const path = unpackPath(raw.path, CENTIMETRE);
+  const yaw = unpack(raw.yaw, STEPS, MILLIRADIAN);
+  const { cause, reason, hit, l2, modes = [], forecasts = [] } = raw;
+  return {
+    path, yaw, cause, reason, hit, l2,
+    boxes: Array.from(yaw, (each, step) => boxAt(path[2 * step + 2], path[2 * step + 3], each, body)),
+    modes: modes.map((/** @type {number[]} */ mode) => unpackPath(mode, CENTIMETRE, path[0], path[1])),
+    forecasts: forecasts.map(forecastOf),
+  };
+}
+
+/** @param {any[]} raw One forecast. @returns {Box & {path: Float64Array|null}} */
+function forecastOf(raw) {
+  const [x, y, length, width] = raw.slice(0, 4).map((value) => value * DECIMETRE);
+  return { x, y, length, width, yaw: raw[4] * CENTIRADIAN, path: raw[5] ? unpackPath(raw[5], DECIMETRE, x, y) : null };
+}
+
+/** @param {any} raw @param {Body} body @returns {Planner} Its samples are unpacked when they are first asked for. */
+function plannerOf({ name, shown, first, outcome, samples }, body) {
+  /** @type {Map<number, Plan>} */
+  const made = new Map();
+  /** @param {number} sample */
+  const plan = (sample) => {
+    const raw = samples[sample];
+    if (!raw || raw.failed !== undefined) return null;
+    const found = made.get(sample) ?? planOf(raw, body);
+    made.set(sample, found);
     return found;
-  }
+  };
+  return {
+    name, shown, first, outcome, plan,
+    failed: (sample) => samples[sample]?.failed,
+    verdict(sample, protocol) {
+      const raw = samples[sample]?.judged?.[protocol];
+      if (!raw) return null;
+      const [marks, counted, contact = null, words = UNDEFINED] = raw;
+      return { marks, mark: marks.at(-1), counted: counted === 1, contact, words };
+    },
+  };
+}
 
-  /** @param {string} category @returns {string} What decides its colour. */
-  function kindOf(category) {
-    if (category === "vehicle.bicycle" || category === "vehicle.motorcycle") return "cycle";
-    if (category.startsWith("vehicle.")) return "vehicle";
-    return /^(human|animal)/.test(category) ? "person" : "thing";
-  }
+/** @param {any} raw The value of a scene's script. @returns {Scene} What the player draws from. */
+function decode(raw) {
+  const count = raw.frames.length;
+  const sampleOf = new Int32Array(count).fill(-1);
+  for (const [number, sample] of raw.samples.entries()) sampleOf.fill(number, sample.frame);
+  const { ego } = raw;
+  return {
+    ...raw, sampleOf, agents: agentsOf(raw), ground: groundOf(raw.road), driven: raw.base !== undefined,
+    ego: ego && { ...ego, x: unpack(ego.x, count, CENTIMETRE), y: unpack(ego.y, count, CENTIMETRE),
+      yaw: unpack(ego.yaw, count, MILLIRADIAN) },
+    recorded: (raw.recorded ?? []).map((/** @type {number[]} */ way) => unpackPath(way, CENTIMETRE)),
+    recordedPath: raw.recordedPath ? unpackPath(raw.recordedPath, CENTIMETRE) : null,
+    contact: raw.contact ?? null,
+    considered: (raw.considered ?? []).map((/** @type {any} */ { t, did, paths, shares, chosen }) => ({
+      t, did, shares: shares.map((/** @type {number} */ share) => share / 100),
+      paths: paths.map((/** @type {number[]} */ path) => unpackPath(path, DECIMETRE)),
+      chosen: chosen && unpackPath(chosen, DECIMETRE),
+    })),
+    models: raw.models.map((/** @type {any} */ model) => plannerOf(model, raw.body)),
+  };
+}
 
-  /** @param {*} raw @param {number} frames @returns {*} One object with its places by frame. */
-  function agentOf(raw, letter) {
-    return {
-      id: raw.id, category: raw.category, kind: kindOf(raw.category), adversary: raw.adversary, letter,
-      length: raw.size[0], width: raw.size[1], first: raw.first, count: raw.count,
-      reach: Math.hypot(raw.size[0], raw.size[1]) / 2,
-      x: unpack(raw.x, raw.count, CENTIMETRE),
-      y: unpack(raw.y, raw.count, CENTIMETRE),
-      yaw: unpack(raw.yaw, raw.count, MILLIRADIAN),
-    };
-  }
+/** Why there is no scene, in a sentence. */
+class LoadError extends Error {}
 
-  /** @param {*[]} agents @returns {*[]} Unpacked; adversaries have a letter, with a number if there are several. */
-  function agentsOf(agents) {
-    const adversaries = agents.filter((agent) => agent.adversary).length;
-    let number = 0;
-    return agents.map((raw) => {
-      if (!raw.adversary) return agentOf(raw, "");
-      number += 1;
-      return agentOf(raw, adversaries > 1 ? `A${number}` : "A");
+/** @param {string} key @returns {string} */
+const missing = (key) => `data/scenes/${key}.js is missing or damaged; write the site again with challenger-bench leaderboard.`;
+
+/** Loads a scene, or a drive, which says what is other than in its scene.
+ * @param {string} key @returns {Promise<Scene>} Rejected with a sentence. */
+async function loadScene(key) {
+  const raw = await loadScript(key);
+  const whole = raw.base ? { ...await loadScript(raw.base), ...raw } : raw;
+  try {
+    return decode(whole);
+  } catch (error) {
+    console.error(error);
+    throw new LoadError(missing(key));
+  }
+}
+
+/** By a script tag: pages from disk may not fetch. @param {string} key @returns {Promise<any>} The script's value. */
+function loadScript(key) {
+  /** @type {Record<string, any>} */
+  const store = (window.CHALLENGER_SCENES = window.CHALLENGER_SCENES ?? {});
+  if (!KEY.test(key)) return Promise.reject(new LoadError(`“${key}” is not the key of a scene.`));
+  if (Object.hasOwn(store, key)) return Promise.resolve(store[key]);
+  return new Promise((resolve, reject) => {
+    const script = element("script", { src: `data/scenes/${key}.js` });
+    script.addEventListener("error", () => { script.remove(); reject(new LoadError(missing(key))); });
+    script.addEventListener("load", () => {
+      script.remove();
+      if (!Object.hasOwn(store, key)) reject(new LoadError(missing(key)));
+      for (const old of Object.keys(store).slice(0, -SCENES_KEPT)) if (old !== key) delete store[old];
+      resolve(store[key]);
     });
-  }
-
-  /** @param {Float64Array} path Seven points. @param {Float64Array} yaw At the last six. @param {*} body @returns {*[]} */
-  function footprints(path, yaw, body) {
-    return Array.from({ length: STEPS }, (_, step) => boxAt(path[2 * step + 2], path[2 * step + 3], yaw[step], body));
-  }
-
-  /** @returns {{x: number, y: number, yaw: number, length: number, width: number}} The ego's box at a lidar's pose. */
-  function boxAt(x, y, yaw, body) {
-    return {
-      x: x + body.ahead * Math.cos(yaw), y: y + body.ahead * Math.sin(yaw), yaw, length: body.length, width: body.width,
-    };
-  }
-
-  /** @param {number} angle @returns {number} In [-pi, pi]. */
-  const wrapped = (angle) => Math.atan2(Math.sin(angle), Math.cos(angle));
-
-  /**
-   * Where the ego's rectangle is along a plan: linear between waypoints, the heading by the shortest arc.
-   * @param {*} plan @param {number} seconds After the sample. @param {*} body @param {number} startYaw
-   */
-  function bodyAlong(plan, seconds, body, startYaw) {
-    const place = Math.min(Math.max(seconds / STEP_S, 0), STEPS);
-    const before = Math.min(Math.floor(place), STEPS - 1);
-    const share = place - before;
-    const between = (at) => plan.path[at] * (1 - share) + plan.path[at + 2] * share;
-    const [x, y] = [between(2 * before), between(2 * before + 1)];
-    const from = before ? plan.yaw[before - 1] : startYaw;
-    return boxAt(x, y, from + share * wrapped(plan.yaw[before] - from), body);
-  }
-
-  /** @param {*} raw One forecast. */
-  function forecastOf(raw) {
-    const [x, y, length, width] = raw.slice(0, 4).map((value) => value * DECIMETRE);
-    return { x, y, length, width, yaw: raw[4] * CENTIRADIAN, path: raw[5] ? unpackPath(raw[5], DECIMETRE, x, y) : null };
-  }
-
-  /** @param {*} raw @param {*} body @returns {*} What a planner did at one sample; null if it was not asked. */
-  function planOf(raw, body) {
-    if (!raw) return null;
-    if (raw.failed !== undefined) return { failed: raw.failed };
-    const path = unpackPath(raw.path, CENTIMETRE);
-    const yaw = unpack(raw.yaw, STEPS, MILLIRADIAN);
-    return {
-      path, yaw, boxes: footprints(path, yaw, body),
-      modes: (raw.modes ?? []).map((mode) => unpackPath(mode, CENTIMETRE, path[0], path[1])),
-      forecasts: (raw.forecasts ?? []).map(forecastOf),
-      verdicts: raw.verdicts, contact: raw.contact, cause: raw.cause ?? null, reason: raw.reason ?? null,
-      hit: raw.hit ?? null, l2: raw.l2 ?? [],
-    };
-  }
-
-  /** @param {*} raw @returns {*} A planner whose samples are unpacked when they are first asked for. */
-  function modelOf(raw, body) {
-    /** @type {Map<number, *>} */
-    const made = new Map();
-    return {
-      name: raw.name, privileged: raw.privileged, miniature: raw.miniature, native: raw.native,
-      /** @param {number} sample @returns {*} */
-      at(sample) {
-        if (!made.has(sample)) made.set(sample, planOf(raw.samples[sample], body));
-        return made.get(sample);
-      },
-      /**
-       * @param {number} sample @param {number} protocol Its number.
-       * @returns {{steps: number, counted: boolean, contact: number|null, whom: string|null}|null} Null without a verdict;
-       *   `whom` it touches first: `anybody` where no adversary is, `adversary`, `other`, or `unsaid`.
-       */
-      verdict(sample, protocol) {
-        const bits = raw.samples[sample]?.verdicts?.[protocol] ?? null;
-        if (bits === null) return null;
-        const { contact, whom } = raw.samples[sample];
-        const seconds = contact?.[protocol] ?? null;
-        return {
-          steps: bits & (COUNTED - 1), counted: bits >= COUNTED, contact: seconds,
-          whom: seconds === null ? null : whom ? WHOM[whom[protocol]] ?? "unsaid" : "anybody",
-        };
-      },
-    };
-  }
-
-  /** @param {*} raw A planning frame of an adversary. @returns {*} What it considered, in metres. */
-  function consideredOf({ t, did, paths, shares, chosen }) {
-    return {
-      t, did, shares: shares.map((share) => share / 100), paths: paths.map((path) => unpackPath(path, DECIMETRE)),
-      chosen: chosen ? unpackPath(chosen, DECIMETRE) : null,
-    };
-  }
-
-  /** @param {*} raw @returns {*[]} The objects of a scene; in a drive an adversary is where it went. */
-  function whoWasThere({ agents, moved }) {
-    return moved ? [...agents.filter(({ id }) => id !== moved.id), moved] : agents;
-  }
-
-  /** @param {*} scene @returns {Int32Array} For each frame the sample whose plans are in force; -1 before the first. */
-  function samplesOfFrames(scene) {
-    const found = new Int32Array(scene.frames.length).fill(-1);
-    for (const [number, sample] of scene.samples.entries()) found.fill(number, sample.frame);
-    return found;
-  }
-
-  /** @param {*} raw The value of a scene's script. @returns {*} What the player draws from. */
-  function decode(raw) {
-    const count = raw.frames.length;
-    const ego = raw.ego && {
-      ...raw.ego,
-      x: unpack(raw.ego.x, count, CENTIMETRE), y: unpack(raw.ego.y, count, CENTIMETRE),
-      yaw: unpack(raw.ego.yaw, count, MILLIRADIAN),
-    };
-    return {
-      ...raw, ego,
-      agents: agentsOf(whoWasThere(raw)),
-      ground: {
-        drivable: areas(raw.road.drivable), crossings: areas(raw.road.crossings),
-        walkways: areas(raw.road.walkways), carparks: areas(raw.road.carparks),
-        dividers: dividers(raw.road.dividers),
-      },
-      recorded: (raw.recorded ?? []).map((way) => unpackPath(way, CENTIMETRE)),
-      recordedPath: raw.recordedPath ? unpackPath(raw.recordedPath, CENTIMETRE) : null,
-      contact: raw.contact ?? null,
-      considered: (raw.considered ?? []).map(consideredOf),
-      driven: raw.base !== undefined,
-      models: raw.models.map((model) => modelOf(model, raw.body)),
-      sampleOf: samplesOfFrames(raw),
-      pictures: Int32Array.from(raw.pictures),
-    };
-  }
-
-  /** Why there is no scene, in a sentence. */
-  class LoadError extends Error {}
-
-  /**
-   * Load a scene by a script tag: pages from disk may not fetch.
-   * @param {string} key @returns {Promise<*>} The scene; rejected with a sentence.
-   */
-  function load(key) {
-    return loadRaw(key).then((raw) => (raw.base
-      // A drive says what is other than in its scene.
-      ? loadRaw(raw.base).then((scene) => decoded({ ...scene, ...raw }, key)) : decoded(raw, key)));
-  }
-
-  /** @param {*} raw @param {string} key @returns {*} The scene; a damaged one is a sentence. */
-  function decoded(raw, key) {
-    try {
-      return decode(raw);
-    } catch (error) {
-      console.error(error);
-      throw new LoadError(missingOf(key));
-    }
-  }
-
-  /** @param {string} key @returns {string} */
-  const missingOf = (key) =>
-    `data/scenes/${key}.js is missing or damaged; write the site again with challenger-bench leaderboard.`;
-
-  /** @param {string} key @returns {Promise<*>} The value of a scene's script. */
-  function loadRaw(key) {
-    const store = (window.CHALLENGER_SCENES = window.CHALLENGER_SCENES ?? {});
-    if (!KEY.test(key)) return Promise.reject(new LoadError(`“${key}” is not the key of a scene.`));
-    const path = `data/scenes/${key}.js`;
-    const missing = missingOf(key);
-    if (Object.hasOwn(store, key)) return Promise.resolve(store[key]);
-    return new Promise((resolve, reject) => {
-      const script = document.createElement("script");
-      script.addEventListener("error", () => { script.remove(); reject(new LoadError(missing)); });
-      script.addEventListener("load", () => {
-        script.remove();
-        if (!Object.hasOwn(store, key)) return reject(new LoadError(missing));
-        for (const old of Object.keys(store).slice(0, -SCENES_KEPT)) if (old !== key) delete store[old];
-        return resolve(store[key]);
-      });
-      script.src = path;
-      document.head.append(script);
-    });
-  }
-
-  Object.assign(player, { LoadError, load, bodyAlong, STEPS, STEP_S });
-})();
+    document.head.append(script);
+  });
+}

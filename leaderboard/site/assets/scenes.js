@@ -1,406 +1,353 @@
 "use strict";
-/* The scene browser, and the frames around the player. */
-(() => {
-  const site = window.ChallengerSite;
-  const { AddressError, UNDEFINED, address, choice, counted, element, filterField, matcher, own, pages } = site;
-  const { remember, unique } = site;
+/* The scene browser, what the search tried, and the pages around the player. */
 
-  /** Cards that are made at once; the others follow while the page is already there. */
-  const SLICE = 48;
-  const WORDS = { true: ["✕", "fails"], false: ["○", "clear"], null: ["–", "cannot be said"] };
-  /** On a split with adversaries. */
-  const HITS = { ...WORDS, true: ["✕", "hits the adversary"], others: ["◇", "hits another"],
-    unsaid: ["–", "whom not said"] };
-  const KINDS = { "✕": "bad", "○": "good", "◇": "other", "–": "open" };
+/** Cards that are made at once; the others follow while the page is already there. */
+const SLICE = 48;
+const ATTEMPTS_SHOWN = 400;
 
-  /** @param {*} scene @param {string} model @param {string} protocol @returns {boolean|null|undefined} */
-  const verdict = (scene, model, protocol) => own(own(scene.verdicts, model) ?? {}, protocol);
+/** @param {SceneData} scene @param {string} model @param {string} protocol @returns {string|undefined} Its kind of mark. */
+function kindOf(scene, model, protocol) {
+  const mark = own(own(scene.marks, model), protocol);
+  return mark && site().legend[mark][1];
+}
 
-  /** @param {*} scene @param {string} name Of lists of protocols. @param {string} model @param {string} protocol */
-  const says = (scene, name, model, protocol) => (own(scene[name], model) ?? []).includes(protocol);
+/** @param {string|undefined} key @returns {SceneData} */
+function sceneOf(key) {
+  const scene = site().scenes.find((each) => each.key === key);
+  if (!scene) throw new AddressError(`There is no scene with the key “${key ?? ""}”.`);
+  return scene;
+}
 
-  /** @param {*} scene @param {string} model @param {string} protocol
-   * @returns {[string, string]} Mark and words: who hits the adversary, who another alone, of whom it cannot be said. */
-  function markOf(scene, model, protocol) {
-    const fails = verdict(scene, model, protocol);
-    if (!scene.adversarial) return WORDS[fails];
-    if (fails === false && says(scene, "others", model, protocol)) return HITS.others;
-    return fails === null && says(scene, "unsaid", model, protocol) ? HITS.unsaid : HITS[fails];
-  }
-
-  /** @param {*} scene @param {string} protocol @returns {string} How many planners fail, and how many hit others alone. */
-  function tally(scene, protocol) {
-    const [bad, of] = [failing(scene, protocol).length, decided(scene, protocol).length];
-    if (!scene.adversarial) return of ? `${bad} of ${counted(of, "planner")} ${bad === 1 ? "fails" : "fail"}` : "not judged";
-    const names = Object.keys(scene.verdicts).filter((model) => verdict(scene, model, protocol) !== undefined);
-    const count = (words) => names.filter((model) => markOf(scene, model, protocol) === words).length;
-    const [others, unsaid] = [count(HITS.others), count(HITS.unsaid)];
-    const said = [of ? `${bad} of ${counted(of, "planner")} ${bad === 1 ? "hits" : "hit"} the adversary` : "",
-      others ? `${others} another` : "", unsaid ? `${UNDEFINED} of ${unsaid}, whom is not said` : ""].filter(Boolean);
-    return said.join(", ") || "not judged";
-  }
-
-  /** @param {Object<string, number|null>} counts @param {string} model @returns {string} A dash where it is not said. */
-  const countOf = (counts, model) => String((own(counts, model) === undefined ? 0 : own(counts, model)) ?? UNDEFINED);
-
-  /** @param {*} scene @param {string} [model] @returns {string} What one planner's samples come to, after the tally. */
-  function samplesOf(scene, model) {
-    if (!model || !own(scene.verdicts, model)) return "";
-    const [hits, others] = [scene.colliding, scene.bystanders].map((counts) => own(counts, model));
-    if (!scene.adversarial) return hits ? `; ${counted(hits, "colliding sample")}` : "";
-    const words = [hits ? `${counted(hits, "sample")} ${hits === 1 ? "hits" : "hit"} it` : "",
-      others ? `${counted(others, "sample")} another` : ""].filter(Boolean).join(", ");
-    return words ? `; ${words}` : "";
-  }
-
-  /** @param {*} scene @param {string} protocol @returns {string[]} Planners that fail it. */
-  const failing = (scene, protocol) =>
-    Object.keys(scene.verdicts).filter((model) => verdict(scene, model, protocol) === true);
-
-  /** @param {*} scene @param {string} protocol @returns {string[]} Planners of which it can be said. */
-  const decided = (scene, protocol) =>
-    Object.keys(scene.verdicts).filter((model) => typeof verdict(scene, model, protocol) === "boolean");
-
-  /** @param {string|undefined} key @returns {*} */
-  function sceneOf(key) {
-    const scene = window.CHALLENGER.scenes.find((each) => each.key === key);
-    if (!scene) throw new AddressError(`There is no scene with the key “${key ?? ""}”.`);
-    return scene;
-  }
-
-  /** @param {*} scene @param {string} protocol @returns {string[]} Two planners to compare: one that fails and one that
-   * does not, where there are such; privileged ones only where no others are. */
-  site.pairOf = (scene, protocol) => {
-    const ran = window.CHALLENGER.models.filter((model) => own(scene.verdicts, model.name)).map((model) => model.name);
-    const a = ran.find((name) => verdict(scene, name, protocol) === true) ?? ran[0];
-    const others = ran.filter((name) => name !== a);
-    const b = others.find((name) => verdict(scene, name, protocol) === false) ?? others[0];
-    return [a, b].filter((name) => name !== undefined);
-  };
-
-  /** @returns {string} The protocol that pages start with. */
-  const firstProtocol = () => window.CHALLENGER.protocols[0] ?? "exact";
-
-  // --- cards ------------------------------------------------------------------------------------------------------------
-  /** One mark a planner, in the order of the tables: shape and words, never colour alone.
-   * @param {*} scene @param {string} protocol @returns {HTMLElement} */
-  function marks(scene, protocol) {
-    const judged = window.CHALLENGER.models.filter((model) => verdict(scene, model.name, protocol) !== undefined);
-    return element("span", { class: "marks", "aria-hidden": "true" }, judged.map((model) => {
-      const [mark, words] = markOf(scene, model.name, protocol);
-      return element("span", { class: KINDS[mark], title: `${model.name}: ${words}` }, mark);
-    }));
-  }
-
-  /** @param {*} scene @param {string} protocol @param {string} [model] Whose plans the scene page starts with.
-   * @returns {HTMLElement} */
-  site.sceneCard = (scene, protocol, model) => {
-    return element("article", { class: "card", "data-testid": "scene-card", "data-key": scene.key },
-      element("a", { class: "picture", href: address(["scene", scene.key], { model }), tabindex: "-1",
-        "aria-hidden": "true" },
-      scene.thumb ? site.picture({ light: scene.thumb, dark: scene.thumbDark, alt: "", width: 320, height: 320 })
-        : element("span", { class: "no-picture" }, "no sheet")),
-      element("div", { class: "card-text" },
-        element("a", { class: "name", href: address(["scene", scene.key], { model }) }, scene.scene),
-        element("span", { class: "tags" }, element("span", { class: "tag" }, scene.split),
-          scene.manoeuvre ? element("span", { class: "tag" }, scene.manoeuvre) : null),
-        element("span", { class: "verdict" }, tally(scene, protocol), samplesOf(scene, model)),
-        site.judgementLine(scene, model),
-        marks(scene, protocol)));
-  };
-
-  // --- browser ------------------------------------------------------------------------------------------------------------
-  const ORDERS = {
-    name: ["name", (a, b) => a.place - b.place],
-    hardest: ["most fail first", (a, b) => b.bad - a.bad || a.place - b.place],
-    easiest: ["fewest fail first", (a, b) => a.bad - b.bad || a.place - b.place],
-    split: ["planners disagree most", (a, b) => b.split - a.split || a.place - b.place],
-    ...Object.fromEntries(Object.entries(site.JUDGED_ORDERS).map(([name, [words]]) =>
-      [name, [words, (a, b) => a.value - b.value || a.place - b.place]])),
-  };
-
-  /** @returns {string[]} Orders that tell these scenes apart. */
-  const orders = () => Object.keys(ORDERS).filter((name) => !own(site.JUDGED_ORDERS, name)
-    || window.CHALLENGER.scenes.some((scene) => Number.isFinite(site.JUDGED_ORDERS[name][1](scene))));
-
-  /** @param {URLSearchParams} params @returns {*[]} Scenes that the address asks for, in its order. */
-  function chosenScenes(params) {
-    const wanted = (name) => params.get(name) ?? "";
-    const protocol = wanted("protocol") || firstProtocol();
-    const matches = matcher(wanted("q"));
-    const fits = site.judgementFilter(params);
-    const measure = own(site.JUDGED_ORDERS, wanted("sort"))?.[1] ?? (() => 0);
-    const found = window.CHALLENGER.scenes.filter((scene) =>
-      (!wanted("data") || scene.data === wanted("data")) && (!wanted("split") || scene.split === wanted("split"))
-      && (!wanted("manoeuvre") || scene.manoeuvre === wanted("manoeuvre"))
-      && (!wanted("fails") || verdict(scene, wanted("fails"), protocol) === true)
-      && (!wanted("passes") || verdict(scene, wanted("passes"), protocol) === false)
-      && fits(scene)
-      && matches([scene.scene, scene.source, scene.data, scene.split, scene.manoeuvre, scene.description,
-        ...scene.labels].join(" ").toLowerCase()));
-    const ranked = found.map((scene, place) => {
-      const [bad, of] = [failing(scene, protocol).length, decided(scene, protocol).length];
-      // What has no such number comes last, and infinity less infinity would be none.
-      const value = measure(scene, wanted("fails")) ?? Number.MAX_VALUE;
-      return { scene, place, bad, split: Math.min(bad, of - bad), value };
-    });
-    return ranked.sort((own(ORDERS, wanted("sort")) ?? ORDERS.name)[1]).map(({ scene }) => scene);
-  }
-
-  /** Puts nodes in slices, the first at once. @param {HTMLElement} parent @param {(() => Node)[]} makers
-   * @returns {() => void} Stops it. */
-  function putInSlices(parent, makers) {
-    let next = 0;
-    let timer = 0;
-    const put = () => {
-      parent.append(...makers.slice(next, next + SLICE).map((make) => make()));
-      next += SLICE;
-      if (next < makers.length) timer = setTimeout(put, 16);
-    };
-    parent.replaceChildren();
-    put();
-    return () => clearTimeout(timer);
-  }
-
-  /** Refuses an address that asks for what is not there: a list would show "all" and hold nothing.
-   * @param {Route} here @param {Object<string, string[]>} known Values by the name of the filter. */
-  function requireKnown(here, known) {
-    for (const [name, values] of Object.entries(known)) {
+// --- lists that are filtered -------------------------------------------------------------------------------------------
+/** What an address asks of a list, and the controls that change it. @template T @param {Route} here @param {Filter[]}
+ * filters Those with one choice are not shown, but the first one's "all" is.
+ * @param {(item: T, name: string, value: string) => boolean} fits @param {() => void} refresh
+ * @returns {{controls: (HTMLElement|null)[], fitting: (items: T[]) => T[]}} */
+function filtersOf(here, filters, fits, refresh) {
+  const used = filters.filter(({ choices }) => choices.length);
+  for (const { name, choices } of used) asked(here, name, choices.map((each) => (Array.isArray(each) ? each[0] : each)));
+  const shown = used.filter(({ name, choices }) => name !== "data" || choices.length > 1);
+  return {
+    controls: shown.map(({ name, label, any, choices }) => choice({
+      label, value: here.params.get(name) ?? "", testid: `filter-${name}`, choices: [["", any], ...choices],
+      change: (value) => { remember(here, { [name]: value }); refresh(); },
+    })),
+    fitting: (items) => items.filter((item) => filters.every(({ name }) => {
       const value = here.params.get(name);
-      if (value && !values.includes(value)) throw new AddressError(`Nothing here has ${name} “${value}”.`);
-    }
-  }
-
-  pages.scenes = (here) => {
-    const { scenes, models, protocols } = window.CHALLENGER;
-    const count = element("p", { class: "count", "data-testid": "scene-count", "aria-live": "polite" });
-    const cards = element("div", { class: "cards" });
-    let stop = () => {};
-    const refresh = (changes) => {
-      remember(here, changes);
-      const found = chosenScenes(here.params);
-      const protocol = here.params.get("protocol") ?? firstProtocol();
-      count.textContent = found.length === scenes.length ? counted(scenes.length, "scene")
-        : `${found.length} of ${counted(scenes.length, "scene")}`;
-      stop();
-      stop = putInSlices(cards, found.map((scene) => () => site.sceneCard(scene, protocol, here.params.get("fails"))));
-    };
-    const list = (label, name, values, any = "all") => choice({
-      label, value: here.params.get(name) ?? "", testid: `filter-${name}`, choices: [["", any], ...values],
-      change: (value) => refresh({ [name]: value }),
-    });
-    const of = (name) => unique(scenes.map((scene) => scene[name]).filter(Boolean));
-    const names = models.map((model) => model.name);
-    requireKnown(here, { data: of("data"), split: of("split"), manoeuvre: of("manoeuvre"), fails: names, passes: names,
-      protocol: protocols, sort: orders(), ...site.judgementKnown() });
-    refresh({});
-    return {
-      title: "Scenes",
-      nodes: [
-        element("h1", {}, "Scenes"),
-        element("div", { class: "toolbar" },
-          filterField({ label: "Scenes with", value: here.params.get("q") ?? "", change: (q) => refresh({ q }) }),
-          of("data").length > 1 ? list("Data set", "data", of("data")) : null,
-          list("Split", "split", of("split")),
-          list("Manoeuvre", "manoeuvre", of("manoeuvre").sort()),
-          list("Fails", "fails", names, "any"),
-          list("Does not fail", "passes", names, "any"),
-          site.judgementChoices(list),
-          protocols.length > 1 ? choice({ label: "Protocol", value: here.params.get("protocol") ?? firstProtocol(),
-            choices: protocols, testid: "filter-protocol", change: (protocol) => refresh({ protocol }) }) : null,
-          choice({ label: "Order", value: here.params.get("sort") ?? "name", testid: "sort-scenes",
-            choices: orders().map((name) => [name, ORDERS[name][0]]),
-            change: (sort) => refresh({ sort }) })),
-        element("div", { class: "count-line" }, count, element("p", { class: "legend" },
-          element("span", { class: "bad" }, "✕"), " fails  ", element("span", { class: "good" }, "○"), " does not  ",
-          scenes.some((scene) => scene.adversarial) ? [element("span", { class: "other" }, "◇"),
-            " hits another than the adversary  "] : null,
-          element("span", { class: "open" }, "–"), " cannot be said; one mark a planner")),
-        cards,
-      ],
-      destroy: () => stop(),
-    };
+      return !value || fits(item, name, value);
+    })),
   };
+}
 
-  // --- one scene --------------------------------------------------------------------------------------------------------
-  /** @param {*} scene @returns {HTMLElement} Facts and labels. */
-  function sceneFacts(scene) {
-    const line = (name, ...value) => [element("dt", {}, name), element("dd", {}, value)];
-    const siblings = window.CHALLENGER.scenes.filter((each) =>
-      each.data === scene.data && each.source === scene.source && each.key !== scene.key);
-    return element("dl", { class: "facts" },
-      line("data set", scene.data), line("split", scene.split),
-      scene.manoeuvre ? line("manoeuvre", element("a", { href: address(["scenes"],
-        { split: scene.split, manoeuvre: scene.manoeuvre }) }, scene.manoeuvre)) : null,
-      scene.labels.length ? line(scene.labels.length > 1 ? "adversaries" : "adversary",
-        scene.labels.map((label) => element("div", {}, label))) : null,
-      site.judgementFacts(scene, line),
-      scene.description ? line("description", scene.description) : null,
-      line("length", `${scene.seconds.toFixed(1)} s`),
-      scene.source !== scene.scene ? line("made from", scene.source) : null,
-      siblings.length ? line("of the same recording", siblings.map((each) => element("div", {},
-        element("a", { href: address(["scene", each.key]) }, `${each.scene} (${each.split})`)))) : null,
-      scene.quality.map(({ masks, consistency, imaging }) => line(`video quality, masks from ${masks}`,
-        `subject consistency ${consistency ?? UNDEFINED}, imaging quality ${imaging ?? UNDEFINED}`)));
+/** @param {string} testid @returns {HTMLElement} Where it stands how many of a list are shown. */
+const countPlace = (testid) => element("p", { class: "count", "data-testid": testid, "aria-live": "polite" });
+
+/** Puts nodes in slices, the first at once. @param {HTMLElement} parent @param {(() => Node)[]} makers
+ * @returns {() => void} Stops it. */
+function putInSlices(parent, makers) {
+  let next = 0;
+  let timer = 0;
+  const put = () => {
+    parent.append(...makers.slice(next, next + SLICE).map((make) => make()));
+    next += SLICE;
+    if (next < makers.length) timer = setTimeout(put, 16);
+  };
+  parent.replaceChildren();
+  put();
+  return () => clearTimeout(timer);
+}
+
+// --- scenes ------------------------------------------------------------------------------------------------------------
+/** @param {SceneData} scene @param {string} protocol @param {string|null} [model] Whose plans the page starts with.
+ * @returns {HTMLElement} */
+function sceneCard(scene, protocol, model) {
+  const href = address(["scene", scene.key], { model });
+  const severe = own(scene.severe, model || "");
+  const said = [...scene.judged, ...(severe ? [["", severe[1], severe[2]]] : [])];
+  // One mark a planner, in the order of the tables: shape and words, never colour alone.
+  const marks = site().models.flatMap(({ name }) => {
+    const mark = own(own(scene.marks, name), protocol);
+    if (!mark) return [];
+    const [sign, kind, words] = site().legend[mark];
+    return [element("span", { class: kind, title: `${name}: ${words}` }, sign)];
+  });
+  return element("article", { class: "card", "data-testid": "scene-card", "data-key": scene.key },
+    element("a", { class: "picture", href, tabindex: "-1", "aria-hidden": "true" },
+      scene.thumb ? picture({ light: scene.thumb, dark: scene.thumbDark, alt: "", width: 320, height: 320 })
+        : element("span", { class: "no-picture" }, "no sheet")),
+    element("div", { class: "card-text" },
+      element("a", { class: "name", href }, scene.scene),
+      element("span", { class: "tags" }, [scene.split, scene.manoeuvre].filter(Boolean).map((tag) =>
+        element("span", { class: "tag" }, tag))),
+      element("span", { class: "verdict" }, own(scene.tally, protocol) ?? "not judged", own(scene.samples, model)?.[1]),
+      said.length ? element("span", { class: "judged", "data-testid": "judged" }, said.map(([kind, words, title], at) =>
+        [at ? " · " : "", element("span", { class: kind || null, title: title || null }, words)])) : null,
+      element("span", { class: "marks", "aria-hidden": "true" }, marks)));
+}
+
+/** @param {any} scene @param {string} name @param {string} value @param {string} protocol @returns {boolean} */
+function sceneFits(scene, name, value, protocol) {
+  if (name === "fails") return kindOf(scene, value, protocol) === "bad";
+  if (name === "passes") return ["good", "other"].includes(kindOf(scene, value, protocol) ?? "");
+  return Array.isArray(scene[name]) ? scene[name].includes(value) : scene[name] === value;
+}
+
+/** @param {SceneData} scene @param {string} order @param {string} protocol @param {string|null} model
+ * @returns {number} What scenes are sorted by, least first; what has no such number comes last. */
+function sortKey(scene, order, protocol, model) {
+  const [bad, split] = own(scene.counts, protocol) ?? [0, 0];
+  const severe = own(scene.severe, model || "")?.[0];
+  /** @type {Record<string, number>} */
+  const keys = { name: 0, hardest: -bad, easiest: bad, split: -split, ...(severe ? { severe: -severe } : {}), ...scene.order };
+  return own(keys, order) ?? Number.MAX_VALUE;
+}
+
+pages.scenes = (here) => {
+  const { scenes, protocols, sceneFilters, sceneOrders, legend } = site();
+  const count = countPlace("scene-count");
+  const cards = element("div", { class: "cards" });
+  const protocol = () => here.params.get("protocol") || protocols[0];
+  let stop = () => {};
+  const list = filtersOf(here, sceneFilters, (scene, name, value) => sceneFits(scene, name, value, protocol()),
+    () => refresh());
+  const orders = sceneOrders.map(([name]) => name);
+  function refresh() {
+    const [order, model] = [asked(here, "sort", orders), here.params.get("fails")];
+    const matches = matcher(here.params.get("q"));
+    const found = list.fitting(scenes).filter((scene) => matches(scene.text))
+      .map((scene) => ({ scene, key: sortKey(scene, order, protocol(), model) })).sort((a, b) => a.key - b.key);
+    count.textContent = countLine(found.length, scenes.length, "scene");
+    stop();
+    stop = putInSlices(cards, found.map(({ scene }) => () => sceneCard(scene, protocol(), model)));
   }
+  /** @param {string} name @param {string} label @param {string} testid @param {(string|[string, string])[]} choices */
+  const control = (name, label, testid, choices) => choice({ label, testid, choices, value: here.params.get(name) ?? "",
+    change: (value) => { remember(here, { [name]: value }); refresh(); } });
+  asked(here, "protocol", protocols);
+  refresh();
+  const signs = Object.values(scenes.some((scene) => scene.manoeuvre) ? { X: legend.X, a: legend.a, o: legend.o }
+    : { x: legend.x, o: legend.o });
+  return {
+    title: "Scenes",
+    nodes: [
+      element("h1", {}, "Scenes"),
+      element("div", { class: "toolbar" },
+        filterField(here, "Scenes with", refresh), list.controls,
+        protocols.length > 1 ? control("protocol", "Protocol", "filter-protocol", protocols) : null,
+        control("sort", "Order", "sort-scenes", sceneOrders)),
+      element("div", { class: "count-line" }, count, element("p", { class: "legend" },
+        signs.map(([sign, kind, words]) => [element("span", { class: kind }, sign), ` ${words}  `]),
+        element("span", { class: "open" }, UNDEFINED), " cannot be said; one mark a planner")),
+      cards,
+    ],
+    destroy: () => stop(),
+  };
+};
 
-  /** @param {*} scene @returns {HTMLElement} Verdicts of all planners under all protocols. */
-  function verdictTable(scene) {
-    const { models, protocols } = window.CHALLENGER;
-    const judged = models.filter((model) => own(scene.verdicts, model.name));
-    if (!judged.length) return element("p", { class: "quiet" }, "No planner ran on this scene.");
-    const words = (name, protocol) => (verdict(scene, name, protocol) === undefined ? UNDEFINED
-      : markOf(scene, name, protocol).join(" "));
-    const samples = scene.adversarial ? ["samples that hit it", "another"] : ["colliding samples"];
-    const causes = (name) => Object.entries(own(scene.causes, name) ?? {})
-      .map(([cause, count]) => `${cause} ${count}`).join(", ");
-    const view = site.tableView({
-      id: "verdicts", title: "Who fails this scene", textColumns: protocols.length + 1,
-      columns: ["planner", ...protocols, ...samples, "failed samples", "causes (exact)"],
-      groups: [["", 1], ["protocol", protocols.length], ["", samples.length + 2]],
-      rows: judged.map(({ name, privileged, miniature }) => [site.marked({ name, privileged, miniature }),
-        ...protocols.map((protocol) => words(name, protocol)), countOf(scene.colliding, name),
-        ...(scene.adversarial ? [countOf(scene.bystanders, name)] : []), String(own(scene.failed, name) ?? 0), causes(name)]),
-      notes: [scene.adversarial
-        ? `A planner fails a scene if one of its counted samples hits the adversary first within 3 s under the protocol. ◇: one
-          hits another first, and none the adversary. ${UNDEFINED}: neither the record nor the protocol says whom.`
-        : "A planner fails a scene if one of its counted samples collides within 3 s under the protocol.",
-        `${scene.adversarial ? "Samples" : "Colliding samples"} and causes are those under protocol exact.`,
-        ...(judged.some((model) => model.miniature) ? [site.MINIATURE_NOTE] : [])],
+// --- what the search tried ---------------------------------------------------------------------------------------------
+pages.attempts = (here) => {
+  const { attempts, attemptFilters, attemptTally, scenes } = site();
+  const place = element("div");
+  const count = countPlace("attempt-count");
+  const list = filtersOf(here, attemptFilters, (/** @type {Record<string, string>} */ attempt, name, value) =>
+    attempt[name] === value, () => refresh());
+  function refresh() {
+    const matches = matcher(here.params.get("q"));
+    const found = list.fitting(attempts).filter((attempt) => matches(Object.values(attempt).join(" ").toLowerCase()));
+    count.textContent = countLine(found.length, attempts.length, "attempt");
+    place.replaceChildren(attemptTable(found));
+  }
+  /** @param {Record<string, string>[]} found @returns {HTMLElement} */
+  function attemptTable(found) {
+    const shown = found.slice(0, ATTEMPTS_SHOWN);
+    const view = tableView({
+      id: "attempts", title: "Attempts", textColumns: 6, groups: [], cells: null,
+      columns: ["recording", "vehicle", "split", "outcome", "manoeuvre", "scene"],
+      rows: shown.map((attempt) => ["source", "agent", "split", "reason", "manoeuvre", "scene"]
+        .map((name) => attempt[name] ?? UNDEFINED)),
+      notes: found.length > shown.length ? [`The first ${shown.length} of ${found.length}; filter to see others.`] : [],
     });
-    for (const cell of view.node.querySelectorAll("tbody td")) {
-      const kind = KINDS[cell.textContent[0]];
-      if (kind) cell.classList.add(kind);
+    const known = new Set(scenes.map((scene) => scene.key));
+    for (const [at, row] of [...view.node.querySelectorAll("tbody tr")].entries()) {
+      const { key, scene } = shown[at];
+      if (known.has(key)) row.lastElementChild?.replaceChildren(element("a", { href: address(["scene", key]) }, scene));
     }
     return view.node;
   }
-
-  /** @param {*} scene @param {Object<string, *>} params What of the player's state they take along.
-   * @returns {HTMLElement[]} Links to its neighbours in the split. */
-  function neighbours(scene, params) {
-    const same = window.CHALLENGER.scenes.filter((each) => each.data === scene.data && each.split === scene.split);
-    const at = same.indexOf(scene);
-    const to = (other, words, rel) => (other
-      ? element("a", { href: address(["scene", other.key], params), rel }, words)
-      : element("span", { class: "quiet" }, words));
-    return [to(same[at - 1], "← previous", "prev"),
-      element("span", { class: "quiet" }, `${at + 1} of ${same.length} in ${scene.split}`),
-      to(same[at + 1], "next →", "next")];
+  const head = [element("h1", {}, "What the search tried"), element("p", { class: "lead" }, "A vehicle is tried as the "
+    + "adversary, and kept only if the scene is physically sound, solvable and hard enough. This is what became of each.")];
+  if (!attempts.length) {
+    return { title: "Attempts", nodes: [...head, element("p", { class: "remark" }, "Nothing is known of a search: the sheets "
+      + "of generated splits say it (", element("code", {}, "challenger-bench sheets --split adv"),
+    "), then write the leaderboard again.")] };
   }
+  refresh();
+  return {
+    title: "Attempts",
+    nodes: [
+      ...head,
+      element("dl", { class: "tally" }, attemptTally.map(([reason, number]) => {
+        const bar = element("span", { class: reason === "kept" ? "bar kept" : "bar" });
+        bar.style.width = `${100 * number / attemptTally[0][1]}%`;
+        return [element("dt", {}, element("a", { href: address(["attempts"], { reason }) }, reason)),
+          element("dd", {}, bar, element("span", {}, String(number)))];
+      })),
+      element("div", { class: "toolbar" }, filterField(here, "Attempts with", refresh), list.controls),
+      count, place,
+    ],
+  };
+};
 
-  /** @param {*} scene @returns {HTMLElement|null} How its pictures are made, if they are not there. */
-  function missingSheet(scene) {
-    if (scene.hasSheet) return null;
-    return element("p", { class: "remark" }, "There is no sheet of this scene: no map, no other vehicles, no cameras. ",
-      element("code", {}, `challenger-bench sheets --split ${scene.split}`),
-      " makes it; then write the leaderboard again. Until then the plans stand on a plain grid.");
-  }
-
-  /** @param {*} scene @returns {HTMLElement|null} How the search went round by round, if it was traced. */
-  function rounds(scene) {
-    if (!scene.rounds) return null;
-    const drawn = window.CHALLENGER.figures.find((figure) => figure.path === scene.rounds);
-    if (!drawn) return null;
-    const title = "Rounds of refinement: candidates and scores of the adversary's search";
-    return element("section", {}, element("h2", {}, "How the adversary was found"), site.figureView({ ...drawn, title }));
-  }
-
-  /** @param {*} value @returns {number|undefined} */
-  const seconds = (value) => (value !== null && value !== "" && Number.isFinite(Number(value)) ? Number(value) : undefined);
-
-  /** @param {*} scene @returns {string[]} Planners that ran on it, in the order of the tables. */
-  const available = (scene) => window.CHALLENGER.models.map((model) => model.name)
-    .filter((name) => own(scene.verdicts, name));
-
-  /**
-   * The player in its place.
-   * @param {Route} here @param {*} scene @param {Object<string, *>} options Beside those that both pages have.
-   * @param {(state: *) => Object<string, *>} kept What of the player's state goes into the address.
-   * @param {() => void} follow Called when the address has changed, for links that take the state along.
-   * @returns {{node: HTMLElement, ready: () => void, destroy: () => void}}
-   */
-  function playerIn(here, scene, options, kept, follow) {
-    const node = element("div", { class: "player-place", "data-testid": "player" });
-    let player = null;
-    return {
-      node,
-      ready() {
-        player = window.ChallengerPlayer.mount(node, scene.key, {
-          t: seconds(here.params.get("t")),
-          protocol: here.params.get("protocol") ?? firstProtocol(),
-          camera: here.params.get("camera") ?? undefined,
-          models_available: available(scene),
-          models_order: window.CHALLENGER.models.map((model) => model.name),
-          ...options,
-          onState: (state) => { remember(here, kept(state)); follow(); },
-        });
-      },
-      destroy: () => player?.destroy(),
-    };
-  }
-
-  pages.scene = (here) => {
-    const scene = sceneOf(here.parts[1]);
-    requireKnown(here, { protocol: window.CHALLENGER.protocols });
-    const asked = here.params.getAll("model");
-    const unknown = asked.find((name) => !window.CHALLENGER.models.some((model) => model.name === name));
-    if (unknown !== undefined) throw new AddressError(`There is no planner called “${unknown}”.`);
-    const links = element("p", { class: "neighbours" });
-    const comparison = element("p");
-    const follow = () => {
-      const shown = here.params.getAll("model");
-      const common = { protocol: here.params.get("protocol"), camera: here.params.get("camera") };
-      links.replaceChildren(...neighbours(scene, { model: shown, ...common }));
-      const [a, b] = shown.length > 1 ? shown : unique([...shown, ...site.pairOf(scene, firstProtocol())]);
-      if (a && b) {
-        comparison.replaceChildren(element("a", { class: "button", href: address(["compare", scene.key],
-          { a, b, t: here.params.get("t"), ...common }) }, `Compare ${a} and ${b} on this scene`));
+// --- one scene ---------------------------------------------------------------------------------------------------------
+/** @param {SceneData} scene @returns {HTMLElement} What its script says of it, once that is there. */
+function sceneFacts(scene) {
+  const place = element("div", { class: "columns" });
+  loadScript(scene.key).then(({ page }) => {
+    if (!page) return;
+    const { facts, tables } = /** @type {ScenePage} */ (page);
+    const views = tables.map((table) => {
+      const { node } = tableView(table);
+      for (const cell of node.querySelectorAll("tbody td")) {
+        const kind = Object.values(site().legend).find(([sign]) => cell.textContent?.startsWith(`${sign} `))?.[1];
+        if (kind) cell.classList.add(kind);
       }
-    };
-    follow();
-    const player = playerIn(here, scene, { compare: false, models: asked }, (state) => ({
-      t: state.t, model: state.models, protocol: state.protocol, camera: state.camera,
-    }), follow);
-    return {
-      title: scene.scene,
-      nodes: [
-        links,
-        element("h1", {}, scene.scene, scene.manoeuvre ? element("span", { class: "tag" }, scene.manoeuvre) : null),
-        missingSheet(scene), player.node,
-        comparison,
-        element("div", { class: "columns" }, verdictTable(scene), sceneFacts(scene)), site.severityTable(scene),
-        site.driveLinks(scene), rounds(scene),
-      ].filter((node) => node !== null),
-      ready: player.ready, destroy: player.destroy,
-    };
-  };
+      return node;
+    });
+    const terms = facts.map(([term, lines]) => [element("dt", {}, term), element("dd", {}, lines.map((parts) =>
+      element("div", {}, parts.map((each) => (Array.isArray(each) ? element("a", { href: each[1] }, each[0]) : each)))))]);
+    place.replaceChildren(...views.slice(0, 1), element("dl", { class: "facts" }, terms), ...views.slice(1));
+  }).catch(() => {});  // The player says why there is no script.
+  return place;
+}
 
-  pages.compare = (here) => {
-    const scene = sceneOf(here.parts[1]);
-    requireKnown(here, { protocol: window.CHALLENGER.protocols });
-    const names = available(scene);
-    const pair = site.pairOf(scene, here.params.get("protocol") ?? firstProtocol());
-    const a = here.params.get("a") ?? pair[0];
-    const b = here.params.get("b") ?? pair.find((name) => name !== a) ?? names.find((name) => name !== a);
-    const unknown = [a, b].find((name) => name !== undefined && !names.includes(name));
-    if (unknown !== undefined) throw new AddressError(`“${unknown}” did not run on this scene.`);
-    if (b === undefined) throw new AddressError(`Fewer than two planners ran on ${scene.scene}: nothing to compare.`);
-    const back = element("a", {}, scene.scene);
-    const follow = () => back.setAttribute("href", address(["scene", scene.key], {
-      model: [here.params.get("a") ?? a, here.params.get("b") ?? b], t: here.params.get("t"),
-      protocol: here.params.get("protocol"), camera: here.params.get("camera") }));
-    follow();
-    const player = playerIn(here, scene, { compare: true, models: [a, b] }, (state) => ({
-      a: state.models[0], b: state.models[1], t: state.t, protocol: state.protocol, camera: state.camera,
-    }), follow);
-    return {
-      title: `${a} and ${b} on ${scene.scene}`,
-      nodes: [element("h1", {}, "Two planners on ", back), missingSheet(scene), player.node,
-        element("div", { class: "columns" }, verdictTable(scene), sceneFacts(scene)), site.severityTable(scene),
-      ].filter((node) => node !== null),
-      ready: player.ready, destroy: player.destroy,
-    };
-  };
+/** @param {SceneData} scene @param {Record<string, any>} params What of the player's state they take along.
+ * @returns {HTMLElement[]} Links to its neighbours in the split. */
+function neighbours(scene, params) {
+  const same = site().scenes.filter((each) => each.data === scene.data && each.split === scene.split);
+  const at = same.indexOf(scene);
+  /** @param {SceneData|undefined} other @param {string} words @param {string} rel @returns {HTMLElement} */
+  const to = (other, words, rel) => (other ? element("a", { href: address(["scene", other.key], params), rel }, words)
+    : element("span", { class: "quiet" }, words));
+  return [to(same[at - 1], "← previous", "prev"),
+    element("span", { class: "quiet" }, `${at + 1} of ${same.length} in ${scene.split}`),
+    to(same[at + 1], "next →", "next")];
+}
 
-  Object.assign(site, { requireKnown });
-})();
+/** @param {SceneData} scene @returns {HTMLElement|null} How its pictures are made, if they are not there. */
+function missingSheet(scene) {
+  if (scene.hasSheet) return null;
+  return element("p", { class: "remark" }, "There is no sheet of this scene: no map, no other vehicles, no cameras. ",
+    element("code", {}, `challenger-bench sheets --split ${scene.split}`),
+    " makes it; then write the leaderboard again. Until then the plans stand on a plain grid.");
+}
+
+/** @param {SceneData} scene @returns {HTMLElement|null} How the search went round by round, if it was traced. */
+function rounds(scene) {
+  const found = site().figures.find((figure) => figure.path === scene.rounds);
+  if (!found) return null;
+  const title = "Rounds of refinement: candidates and scores of the adversary's search";
+  return element("section", {}, element("h2", {}, "How the adversary was found"), figureView({ ...found, title }));
+}
+
+/** @param {SceneData} scene @returns {HTMLElement|null} Its drives, if it has any. */
+function driveLinks(scene) {
+  const drives = site().drives.filter((each) => each.scene === scene.key);
+  if (!drives.length) return null;
+  return element("section", { "data-testid": "drives" }, element("h2", {}, "Driven in closed loop"),
+    element("ul", {}, drives.map(({ key, planner, measured, outcome }) => element("li", {},
+      key ? element("a", { href: address(["drive", key]) }, planner) : planner, ` ${measured}: ${outcome}`))));
+}
+
+/** The player in its place. @param {Route} here @param {string} key
+ * @param {PlayerOptions} options Beside those that the address has. @param {(state: any) => Record<string, any>} kept
+ * What of the player's state goes into the address. @param {() => void} [follow] Called when the address has changed,
+ * for links that take the state along. */
+function playerIn(here, key, options, kept, follow) {
+  const node = element("div", { class: "player-place", "data-testid": "player" });
+  const t = Number(here.params.get("t") || NaN);
+  /** @type {Player|null} */
+  let player = null;
+  return {
+    node,
+    ready() {
+      player = new Player(node, key, {
+        t: Number.isFinite(t) ? t : undefined, protocol: here.params.get("protocol") ?? site().protocols[0],
+        camera: here.params.get("camera") ?? undefined, ...options,
+        onState: (state) => { remember(here, kept(state)); follow?.(); },
+      });
+    },
+    destroy: () => player?.destroy(),
+  };
+}
+
+pages.scene = (here) => {
+  const scene = sceneOf(here.parts[1]);
+  asked(here, "protocol", site().protocols);
+  const models = here.params.getAll("model");
+  const unknown = models.find((name) => !site().models.some((model) => model.name === name));
+  if (unknown !== undefined) throw new AddressError(`There is no planner called “${unknown}”.`);
+  const links = element("p", { class: "neighbours" });
+  const comparison = element("p");
+  const follow = () => {
+    const shown = here.params.getAll("model");
+    const common = { protocol: here.params.get("protocol"), camera: here.params.get("camera") };
+    links.replaceChildren(...neighbours(scene, { model: shown, ...common }));
+    const [a, b] = shown.length > 1 ? shown : unique([...shown, ...scene.pair]);
+    if (!b) return;
+    const href = address(["compare", scene.key], { a, b, t: here.params.get("t"), ...common });
+    comparison.replaceChildren(element("a", { class: "button", href }, `Compare ${a} and ${b} on this scene`));
+  };
+  follow();
+  const player = playerIn(here, scene.key, { models }, (state) => ({
+    t: state.t, model: state.models, protocol: state.protocol, camera: state.camera,
+  }), follow);
+  return {
+    ...player,
+    title: scene.scene,
+    nodes: [
+      links,
+      element("h1", {}, scene.scene, scene.manoeuvre ? element("span", { class: "tag" }, scene.manoeuvre) : null),
+      missingSheet(scene), player.node, comparison, sceneFacts(scene), driveLinks(scene), rounds(scene),
+    ],
+  };
+};
+
+pages.compare = (here) => {
+  const scene = sceneOf(here.parts[1]);
+  asked(here, "protocol", site().protocols);
+  const a = here.params.get("a") ?? scene.pair[0];
+  const b = here.params.get("b") ?? scene.pair.find((name) => name !== a);
+  const unknown = [a, b].find((name) => name !== undefined && !own(scene.marks, name));
+  if (unknown !== undefined) throw new AddressError(`“${unknown}” did not run on this scene.`);
+  if (b === undefined) throw new AddressError(`Fewer than two planners ran on ${scene.scene}: nothing to compare.`);
+  const back = element("a", {}, scene.scene);
+  const follow = () => back.setAttribute("href", address(["scene", scene.key], {
+    model: [here.params.get("a") ?? a, here.params.get("b") ?? b], t: here.params.get("t"),
+    protocol: here.params.get("protocol"), camera: here.params.get("camera") }));
+  follow();
+  const player = playerIn(here, scene.key, { compare: true, models: [a, b] }, (state) => ({
+    a: state.models[0], b: state.models[1], t: state.t, protocol: state.protocol, camera: state.camera,
+  }), follow);
+  return {
+    ...player,
+    title: `${a} and ${b} on ${scene.scene}`,
+    nodes: [element("h1", {}, "Two planners on ", back), missingSheet(scene), player.node, sceneFacts(scene)],
+  };
+};
+
+pages.drive = (here) => {
+  const drive = site().drives.find(({ key }) => key !== null && key === here.parts[1]);
+  if (!drive?.key) throw new AddressError(`There is no drive with the key “${here.parts[1] ?? ""}”.`);
+  const scene = site().scenes.find(({ key }) => key === drive.scene);
+  const player = playerIn(here, drive.key, {}, (state) => ({ t: state.t }));
+  return {
+    ...player,
+    title: `${drive.planner} drives`,
+    nodes: [
+      element("h1", {}, drive.planner, " drives ",
+        scene ? element("a", { href: address(["scene", scene.key]) }, scene.scene) : "a scene"),
+      element("p", {}, `Closed loop: ${drive.measured}; ${drive.outcome}.`),
+      element("p", { class: "remark", "data-testid": "drive-note" }, drive.note), player.node,
+    ],
+  };
+};

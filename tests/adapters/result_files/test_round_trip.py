@@ -218,7 +218,8 @@ def test_the_record_and_every_table_say_where_plans_come_from(town: tuple[FakeDa
     for matrix in transfer_matrices([record, found], "val").values():
         assert any(note.startswith(says) for note in transfer_table("fake", matrix).notes)
     assert any("order assumed" in sentence for sentence in factory.sentences)
-    told = {entry["name"]: entry["runs"][0].get("plansFrom") for entry in build_model_index([record, found])}
+    facts = {entry["name"]: entry["runs"][0]["facts"] for entry in build_model_index([record, found])}
+    told = {name: next((text for term, text, *_ in of if term == "plans"), None) for name, of in facts.items()}
     assert told["constant-velocity"] is None and str(told["SD"]).startswith(says)
     again = load_record(found.directory)
     assert again.run == found.run and rescore(found.directory, data).run.plans_from == found.run.plans_from

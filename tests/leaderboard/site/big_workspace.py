@@ -58,15 +58,7 @@ _QUANTILES = ("least", "tenth", "median", "ninetieth", "most")
 
 @dataclass(frozen=True, slots=True)
 class BigWorkspace:
-    """What was made.
-
-    Attributes:
-        out: The folder, as ``--out`` wants it.
-        planners: Names of the planners.
-        adversarial: Names of the scenes of split ``adv``.
-        recorded: Names of the scenes of split ``val``.
-        without_sheet: Name of the one scene that has no sheet.
-    """
+    """What was made."""
 
     out: Path
     planners: tuple[str, ...]
@@ -90,20 +82,7 @@ def make_workspace(
     hostile: bool = True,
     cell_width_px: int = CELL_WIDTH_PX,
 ) -> BigWorkspace:
-    """Write run records and sheets of two splits, ``adv`` and the recordings ``val`` that it was made from.
-
-    Args:
-        folder: Where to, an ``--out`` folder; what it has of sheets and runs goes.
-        scenes: Number of scenes, two thirds of them adversarial.
-        models: Number of planners; all run on both splits.
-        seed: Seed of everything.
-        samples: Samples of each scene.
-        hostile: Whether some names are such as only a stranger with bad intentions would choose.
-        cell_width_px: Width of one camera in the pictures; positions of boxes are right for the default alone.
-
-    Returns:
-        What was made.
-    """
+    """Write run records and sheets of two splits, ``adv`` and the recordings ``val`` that it was made from."""
     space = Workspace(folder)
     for old in (space.run_root(), space.sheet_root()):
         shutil.rmtree(old, ignore_errors=True)
@@ -130,15 +109,7 @@ def make_workspace(
 
 
 def made_planners(count: int, *, hostile: bool = True) -> list[MadePlanner]:
-    """Planners from sleepy to alert; the first fails now and then, the second forecasts in the lidar's frame.
-
-    Args:
-        count: How many.
-        hostile: Whether the third has a name of HTML.
-
-    Returns:
-        The planners.
-    """
+    """Planners from sleepy to alert; the first fails now and then, the second forecasts in the lidar's frame."""
     natives = ("vad", "uniad", None, "sparsedrive", "diffusiondrive")
     planners = [
         MadePlanner(

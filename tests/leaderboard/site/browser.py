@@ -54,11 +54,7 @@ for (const name of ["alert", "confirm", "prompt", "print"]) {
 
 
 def find_chromium() -> tuple[Path, Path] | None:
-    """Chromium and its driver: those that ``CHROMIUM`` and ``CHROMEDRIVER`` name, or on the ``PATH``, or Debian's.
-
-    Returns:
-        Both, or ``None`` if one is missing.
-    """
+    """Chromium and its driver: those that ``CHROMIUM`` and ``CHROMEDRIVER`` name, or on the ``PATH``, or Debian's."""
     browser = _program(os.environ.get("CHROMIUM"), "chromium", "/usr/bin/chromium")
     driver = _program(os.environ.get("CHROMEDRIVER"), "chromedriver", "/usr/bin/chromedriver")
     return (browser, driver) if browser and driver else None
@@ -71,14 +67,7 @@ def _program(*names: str | None) -> Path | None:
 
 @dataclass(slots=True)
 class Browser:
-    """One browser with one page.
-
-    Attributes:
-        driver: Selenium's driver.
-        start: Address of the site's ``index.html``.
-        messages: Warnings and errors of the console so far.
-        requests: Addresses that were asked for so far.
-    """
+    """One browser with one page."""
 
     driver: webdriver.Chrome
     start: str
@@ -86,12 +75,7 @@ class Browser:
     requests: list[str] = field(default_factory=list)
 
     def open(self, route: str = "#/", *, start: str | None = None) -> None:
-        """Load the site anew at a route.
-
-        Args:
-            route: With its ``#``.
-            start: Address of another ``index.html``.
-        """
+        """Load the site anew at a route."""
         self.note_logs()
         # From an empty page: a change of the hash alone would not load anything.
         self.driver.get("about:blank")
@@ -108,19 +92,7 @@ class Browser:
         return self.driver.execute_script(script, *values)
 
     def until(self, condition: str, *values: Any, patience_s: float = PATIENCE_S) -> Any:
-        """Wait until an expression is true in the page.
-
-        Args:
-            condition: JavaScript expression.
-            values: Its ``arguments``.
-            patience_s: How long at most, seconds.
-
-        Returns:
-            Its value.
-
-        Raises:
-            AssertionError: If it does not become true.
-        """
+        """Wait until an expression is true in the page."""
         try:
             return WebDriverWait(self.driver, patience_s, poll_frequency=0.05).until(
                 lambda _: self.js(f"return ({condition});", *values)
@@ -144,12 +116,7 @@ class Browser:
         return str(self.one(name).get_property("value"))
 
     def choose(self, name: str, value: str) -> None:
-        """Set a control as a hand would: the value, then the events.
-
-        Args:
-            name: Its ``data-testid``.
-            value: The value.
-        """
+        """Set a control as a hand would: the value, then the events."""
         self.js(
             """
             const [control, value] = arguments;
@@ -167,12 +134,7 @@ class Browser:
         self.js("arguments[0].focus(); arguments[0].click();", element)
 
     def press(self, *keys: str, holding: str | None = None) -> None:
-        """Press keys one after the other, wherever the focus is.
-
-        Args:
-            keys: The keys.
-            holding: Another one that is held meanwhile.
-        """
+        """Press keys one after the other, wherever the focus is."""
         actions = ActionChains(self.driver)
         if holding is None:
             actions.send_keys(*keys).perform()
@@ -209,11 +171,7 @@ class Browser:
         self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
 
     def note_logs(self) -> list[str]:
-        """Take what the browser logged since the last time.
-
-        Returns:
-            All warnings and errors so far.
-        """
+        """Take what the browser logged since the last time."""
         # Selenium has no types for logs.
         driver: Any = self.driver
         for entry in driver.get_log("browser"):
@@ -234,19 +192,7 @@ class Browser:
 
 @contextlib.contextmanager
 def started(programs: tuple[Path, Path], start: str, *, more: Sequence[str] = ()) -> Iterator[Browser]:
-    """A running browser.
-
-    Args:
-        programs: Chromium and its driver.
-        start: Address of the site's ``index.html``.
-        more: Further arguments for Chromium.
-
-    Yields:
-        The browser; it ends with the context.
-
-    Raises:
-        selenium.common.exceptions.WebDriverException: If it does not start.
-    """
+    """A running browser."""
     chromium, chromedriver = programs
     options = Options()
     options.binary_location = str(chromium)

@@ -32,18 +32,7 @@ _EXTRA_STEPS = {"uniad": 3, "vad": 3, "vad-23": 3, "sparsedrive": 2, "diffusiond
 
 @dataclass(frozen=True, slots=True)
 class MadePlanner:
-    """A planner and its habits.
-
-    Attributes:
-        name: Shown in tables.
-        native: Protocol of its own repository.
-        privileged: Whether it sees what no car sees.
-        frame: Of its plans.
-        alertness: How much of the recorded braking it foresees, 0 to 1.
-        unsteadiness_m: How far its plans wander from the lane in 3 s.
-        forecasts: Whether it forecasts the others.
-        failing: Share of samples on which it raises.
-    """
+    """A planner and its habits."""
 
     name: str
     native: str | None
@@ -122,16 +111,7 @@ def _ahead(axle: Floats) -> Floats:
 def run(
     folder: Path, planner: MadePlanner, data: DataFacts, split: str, truths: Sequence[SceneTruth], *, seed: int
 ) -> None:
-    """Write the record of a planner on a split.
-
-    Args:
-        folder: Run directory.
-        planner: The planner.
-        data: Data set.
-        split: Split.
-        truths: All scenes of the split.
-        seed: Seed of the planner's habits.
-    """
+    """Write the record of a planner on a split."""
     rows = [row for found in truths for row in _rows(planner, found, seed)]
     scenes = [found.scene for found in truths]
     facts: dict[str, Any] = {

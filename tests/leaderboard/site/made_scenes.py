@@ -23,16 +23,7 @@ FIRST_TIMESTAMP_US = 1_700_000_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Traffic:
-    """Everything else on the road, along it.
-
-    Attributes:
-        s_m: (A, T) centres.
-        d_m: (A, T) centres.
-        turned_rad: (A,) heading against the road's.
-        size_m: (A, 3) length, width, height.
-        categories: A categories.
-        first: (A,) first frame at which each is there.
-    """
+    """Everything else on the road, along it."""
 
     s_m: Floats
     d_m: Floats
@@ -44,20 +35,7 @@ class Traffic:
 
 @dataclass(frozen=True, slots=True)
 class MadeScene:
-    """One scene.
-
-    Attributes:
-        name: Scene name.
-        source: Recorded scene that it was made from.
-        description: Free text.
-        manoeuvre: What the last of the others does; ``None`` in recordings.
-        bend_per_m: Curvature of the road, positive to the left.
-        origin_m: Where it is in the global frame.
-        heading_rad: Of the road at its start, global frame.
-        ego_s_m: (T,) rear axle along the road.
-        others: The traffic; an adversary comes last.
-        cut_in_s: When it comes to its point, seconds.
-    """
+    """One scene."""
 
     name: str
     source: str
@@ -105,20 +83,7 @@ class MadeScene:
 def make_scene(
     name: str, source: str, *, adversarial: bool, agents: int, samples: int, description: str, seed: int
 ) -> MadeScene:
-    """Make one scene.
-
-    Args:
-        name: Scene name.
-        source: Recorded scene; scenes of one source have the same road and the same traffic.
-        adversarial: Whether somebody cuts in.
-        agents: How many others there are.
-        samples: Number of 2 Hz samples.
-        description: Free text.
-        seed: Seed of everything.
-
-    Returns:
-        The scene.
-    """
+    """Make one scene."""
     rng = np.random.default_rng(content_seed("made scene", source, seed))
     own = np.random.default_rng(content_seed("made adversary", name, seed))
     time = np.arange(samples * FRAMES_PER_KEYFRAME) / FRAME_HZ
@@ -179,17 +144,7 @@ def _with_adversary(others: Traffic, rng: np.random.Generator, time: Floats, ego
 
 
 def sheet_of(scene: MadeScene, data: DataFacts, split: str, pictures: dict[str, str]) -> ScenePage:
-    """What is shown of a scene.
-
-    Args:
-        scene: The scene.
-        data: Data set.
-        split: Split.
-        pictures: SHA-256 of the pictures by their path below the sheet's folder.
-
-    Returns:
-        The sheet.
-    """
+    """What is shown of a scene."""
     ego, label = scene.on_plane(scene.ego_s_m), labels_of(scene)
     frames = tuple(frame for frame in range(scene.frames) if picture_name(frame) in pictures)
     return ScenePage.model_validate(

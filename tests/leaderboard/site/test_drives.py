@@ -10,15 +10,17 @@ import pytest
 from benchmark.records.drives import DriveRecord
 from benchmark.records.scene_pages import ScenePage, ScenePages
 from benchmark.records.search_trace import SearchTraceFrame, write_search_trace
-from leaderboard.build import write_leaderboard
 from leaderboard.frame.results import read_results
 from leaderboard.site.drive_data import build_drive_files, build_drive_index, interpolate_poses
 from leaderboard.site.scene_data import build_agent
-from leaderboard.site.scene_index import scene_key
+from leaderboard.site.scene_facts import scene_key
 from tests.benchmark.records.test_drives import contact, row, written
 from tests.leaderboard.site.browser import Browser
-from tests.leaderboard.site.conftest import Site
+from tests.leaderboard.site.conftest import Site, write_site
+from tests.leaderboard.site.reading import birdseye
 from tests.leaderboard.site.test_index import value_of
+
+EVERYBODY, ADVERSARY = "The others are where the recording has them.", "Orange is the adversary as it drove."
 
 
 def drive_of(folder: Path, sheet: ScenePage, agents: str = "replay", **changes: Any) -> DriveRecord:
@@ -68,10 +70,11 @@ def test_a_script_holds_the_drive_and_nothing_of_others_that_answered(site: Site
     )
     assert {f"data/scenes/{one['key']}.js" for one in index} == set(files) and len(files) == 2
     assert {one["scene"] for one in index} == {scene_key((sheet.data.name, sheet.split, sheet.scene))}
-    of = {one["world"]: value_of(files[f"data/scenes/{one['key']}.js"]) for one in index}
-    drive = of["default, agents replay"]
+    of = {one["measured"]: value_of(files[f"data/scenes/{one['key']}.js"]) for one in index}
+    drive = of["default, agents replay, sensor none"]
     assert drive["base"] == index[0]["scene"] and "agents" not in drive
-    assert of["default, agents idm"]["agents"] == [] and {one["everybody"] for one in index} == {True, False}
+    assert of["default, agents idm, sensor none"]["agents"] == []
+    assert {EVERYBODY in one["note"] for one in index} == {True, False}
     # The contact is 1.3 s after the last primed instant, at 1 s.
     assert drive["frames"][-1] <= 2.3 < drive["frames"][-1] + 0.09 and drive["contact"]["t"] == pytest.approx(2.3)
     x = steps(drive["ego"]["x"])
@@ -88,7 +91,7 @@ def test_whoever_touched_the_ego_without_its_fault_is_shown_until_it_is_gone(sit
     measured = {"engine": "default", "agents": "replay", "sensor": "none", "until": "fault"}
     driven = drive_of(tmp_path, sheet, end="end", contact=None, passed=[touch], measured=measured)
     (said,) = build_drive_index([driven], site.sheets)
-    assert said["world"].endswith("until fault") and said["everybody"] and said["contact"] is None
+    assert "until fault" in said["measured"] and EVERYBODY in said["note"] and said["outcome"] == "no contact"
     drive = value_of(build_drive_files([driven], site.sheets)[f"data/scenes/{said['key']}.js"])
     shown = {each["id"]: each for each in drive["agents"]}
     assert len(shown) == len(sheet.agents)
@@ -114,21 +117,6 @@ def test_a_failed_drive_says_why(site: Site, tmp_path: Path) -> None:
     (script,) = build_drive_files([driven], site.sheets).values()
     samples = value_of(script)["models"][0]["samples"]
     assert samples[-1] == {"failed": "ValueError: no"} and "path" in samples[0]
-
-
-def test_the_page_plays_a_drive(site: Site, browser: Browser, tmp_path: Path) -> None:
-    sheet = first_sheet(site)
-    driven = [drive_of(tmp_path / name, sheet, name) for name in ("replay", "idm")]
-    folder = tmp_path / "board"
-    write_leaderboard(read_results(site.records, sheets=site.sheets, drives=driven), folder)
-    index = (folder / "site" / "index.html").as_uri()
-    keys = {one["everybody"]: one["key"] for one in build_drive_index(driven, site.sheets)}
-    text = opened(browser, index, f"#/drive/{keys[True]}?t=2")
-    assert "contact after 1.3 s" in text and "where the recording has them" in text and "ego, as driven" in text
-    assert "not judged" not in text and "Sample 5" in text
-    assert "Only the ego is shown as driven" in opened(browser, index, f"#/drive/{keys[False]}")
-    scene = scene_key((sheet.data.name, sheet.split, sheet.scene))
-    assert "Driven in closed loop" in opened(browser, index, f"#/scene/{scene}")
 
 
 def pursued(folder: Path, sheet: ScenePage, others: str = "replay") -> DriveRecord:
@@ -162,8 +150,9 @@ def test_an_adversary_is_where_it_drove_with_what_it_considered(site: Site, tmp_
     sheet = first_sheet(site)
     driven = [pursued(tmp_path / others, sheet, others=others) for others in ("replay", "idm")]
     files, index = build_drive_files(driven, site.sheets), build_drive_index(driven, site.sheets)
-    index.sort(key=lambda one: not one["everybody"])
-    assert [one["everybody"] for one in index] == [True, False] and all(one["adversary"] for one in index)
+    index.sort(key=lambda one: EVERYBODY not in one["note"])
+    assert [EVERYBODY in one["note"] for one in index] == [True, False]
+    assert all(ADVERSARY in one["note"] for one in index)
     beside, alone = (value_of(files[f"data/scenes/{one['key']}.js"]) for one in index)
     assert "agents" not in beside and alone["agents"] == []
     moved, recorded = beside["moved"], sheet.agents[-1]
@@ -178,32 +167,32 @@ def test_an_adversary_is_where_it_drove_with_what_it_considered(site: Site, tmp_
     assert searched["t"] == pytest.approx((sheet.timestamps_us[24] - sheet.timestamps_us[0]) * 1e-6, abs=1e-3)
 
 
-def test_the_player_shows_what_was_considered_until_it_is_switched_off(
+def test_the_page_plays_a_drive_with_what_an_adversary_considered_until_it_is_switched_off(
     site: Site, browser: Browser, tmp_path: Path
 ) -> None:
     sheet = first_sheet(site)
-    driven, folder = [pursued(tmp_path / "a", sheet), drive_of(tmp_path / "b", sheet)], tmp_path / "board"
-    write_leaderboard(read_results(site.records, sheets=site.sheets, drives=driven), folder)
-    index = (folder / "site" / "index.html").as_uri()
-    keys = {one["adversary"]: one["key"] for one in build_drive_index(driven, site.sheets)}
-    text = opened(browser, index, f"#/drive/{keys[True]}?t=2.1")
-    assert "Orange is the adversary as it drove" in text and "what its search found" in text
+    driven = [drive_of(tmp_path / name, sheet, name) for name in ("replay", "idm")] + [pursued(tmp_path / "p", sheet)]
+    start = write_site(read_results(site.records, sheets=site.sheets, drives=driven), tmp_path / "site")
+    index = build_drive_index(driven, site.sheets)
+    (replayed, answered, hunted) = (
+        next(one["key"] for one in index if words in one["measured"])
+        for words in ("agents replay", "agents idm", "agents adversary")
+    )
+    text = opened(browser, start, f"#/drive/{replayed}?t=2")
+    assert "contact after 1.3 s" in text and EVERYBODY in text and "ego, as driven" in text
+    assert "not judged" not in text and "Sample 5" in text and not browser.all("player-show-considered")
+    assert "Only the ego is shown as driven" in opened(browser, start, f"#/drive/{answered}")
+    scene = scene_key((sheet.data.name, sheet.split, sheet.scene))
+    assert "Driven in closed loop" in opened(browser, start, f"#/scene/{scene}")
+    text = opened(browser, start, f"#/drive/{hunted}?t=2.1")
+    assert ADVERSARY in text and "what its search found" in text
     box = browser.one("player-show-considered")
-    with_them = canvas_of(browser)
+    with_them = birdseye(browser)
     browser.click(box)
-    browser.frames()
-    without = canvas_of(browser)
+    without = birdseye(browser)
     browser.click(box)
-    browser.frames()
-    assert with_them != without and canvas_of(browser) == with_them
-    assert "the scene's own track" in opened(browser, index, f"#/drive/{keys[True]}?t=1.5")
-    opened(browser, index, f"#/drive/{keys[False]}")
-    assert not browser.all("player-show-considered")
-
-
-def canvas_of(browser: Browser) -> str:
-    """What the player has drawn from above."""
-    return str(browser.js("return document.querySelector('.cp-birdseye').toDataURL()"))
+    assert with_them != without and birdseye(browser) == with_them
+    assert "the scene's own track" in opened(browser, start, f"#/drive/{hunted}?t=1.5")
 
 
 def opened(browser: Browser, index: str, route: str) -> str:

@@ -3,8 +3,8 @@
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -17,61 +17,31 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, write_bytes
 from benchmark.metrics.attacks import collect_scene_attacks, has_adversaries, select_counted_rows
 from benchmark.metrics.effect import AT_3_S, compute_effect, find_first_contacts, find_touched_scenes
-from benchmark.records.run import RunRecord, find_records
+from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import SceneFacts
 from benchmark.records.scene_assessment import DRIVER_NAMES
-from benchmark.records.scene_pages import NO_SCENE_PAGES, ScenePages, StoredScenePage, find_scene_pages
+from benchmark.records.scene_pages import NO_SCENE_PAGES, ScenePages, StoredScenePage
 from benchmark.report.palette import ADVERSARY, PLANNERS_ON_DARK, PLANNERS_ON_LIGHT, format_hexadecimal
 from benchmark.report.table import Table
 from leaderboard.build import find_stale_files, write_leaderboard
 from leaderboard.frame.results import LeaderboardResults, read_results
 from leaderboard.frame.runs import DataSetRuns
-from leaderboard.page.sections import NamedFigure
-from leaderboard.site.index_data import PlacedTable, build_index, build_key_table, build_model_index
+from leaderboard.site.index_data import PlacedTable, build_index, build_key_table
 from leaderboard.site.packing import encode_script
+from leaderboard.site.scene_facts import summarise_scenes
 from leaderboard.site.scene_index import build_scene_index, describe_label
 from leaderboard.site.site import INDEX_PATH, build_site_files
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
-from tests.leaderboard.site.big_workspace import DATA_NAME, IMAGE_TAG, BigWorkspace, make_workspace
+from tests.leaderboard.site.big_workspace import DATA_NAME, IMAGE_TAG
+from tests.leaderboard.site.conftest import FIGURE, Site
 
 ASSETS = Path(__file__).resolve().parents[3] / "leaderboard" / "site" / "assets"
-FIGURE = NamedFigure("rates-exact", "Rates", b"png", b"<svg/>", lambda: b"<svg id='dark'/>")
-
-
-@dataclass(frozen=True)
-class Made:
-    """A small workspace with hostile names, as it is read."""
-
-    workspace: BigWorkspace
-    records: list[RunRecord]
-    sheets: ScenePages
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
-    out = tmp_path_factory.mktemp("made")
-    workspace = make_workspace(out, scenes=6, models=3, samples=10)
-    return Made(workspace, find_records(out / "runs"), find_scene_pages(out / "sheets"))
-
-
-@pytest.fixture(autouse=True)
-def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures have tests of their own and take most of the time."""
-    monkeypatch.setattr("leaderboard.figures.contents.RUN_FIGURES", (lambda frame: (FIGURE,),))
-    for name in ("draw_heat_maps", "draw_lift_maps"):
-        monkeypatch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"png", b"png", lambda: b"png"))
-
-
-@pytest.fixture(scope="module")
-def folder(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A written leaderboard."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("leaderboard.figures.contents.RUN_FIGURES", (lambda frame: (FIGURE,),))
-        for name in ("draw_heat_maps", "draw_lift_maps"):
-            patch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"png", b"png", lambda: b"png"))
-        found = tmp_path_factory.mktemp("board")
-        write_leaderboard(read_results(made.records, sheets=made.sheets), found)
-        yield found
+def index(site: Site) -> Any:
+    """What pages show without loading a scene."""
+    return value_of((site.index.parent / INDEX_PATH).read_bytes())
 
 
 def value_of(script: bytes) -> Any:
@@ -83,7 +53,7 @@ def value_of(script: bytes) -> Any:
 
 
 @given(value=st.recursive(st.none() | st.booleans() | st.integers() | st.text(), lambda inner: st.lists(inner)))
-@settings(deadline=None)
+@settings(deadline=None, max_examples=25)
 def test_a_script_says_any_value_and_nothing_else(value: Any) -> None:
     script = encode_script("window.X", value)
     assert value_of(script) == value
@@ -95,29 +65,30 @@ def test_names_with_a_meaning_in_javascript_stay_names() -> None:
     assert value_of(encode_script("window.X", value)) == value
 
 
-def test_scenes_fail_in_the_index_as_in_the_records(made: Made, folder: Path) -> None:
-    index = value_of((folder / "site" / INDEX_PATH).read_bytes())
+def test_scenes_fail_in_the_index_as_in_the_records(site: Site, index: Any) -> None:
     scenes = {(scene["split"], scene["scene"]): scene for scene in index["scenes"]}
-    assert {name for _, name in scenes} == set(made.workspace.scenes)
-    for record in made.records:
+    assert {name for _, name in scenes} == set(site.made.scenes)
+    summaries = {name[1:]: summary for name, summary in summarise_scenes(site.records, site.sheets).items()}
+    for record in site.records:
         for protocol in record.summary.protocols:
             for scene, failed in find_touched_scenes(record, protocol).items():
-                assert scenes[record.run.split, scene]["verdicts"][record.planner][protocol] is failed
+                mark = scenes[record.run.split, scene]["marks"][record.planner][protocol]
+                assert (mark in "xX") is (failed is True) and (mark in "-w") is (failed is None)
         touches = find_first_contacts(record)
         for scene, places in record.columns.places_of_scenes.items():
-            shown = scenes[record.run.split, scene]
-            assert shown["adversarial"] == has_adversaries(record)
-            assert shown["colliding"].get(record.planner, 0) == touches.adversary[places].sum()
-            assert shown["bystanders"].get(record.planner, 0) == touches.others[places].sum()
-            assert ("exact" in shown["others"].get(record.planner, [])) == touches.others[places].any()
+            known, shown = summaries[record.run.split, scene], scenes[record.run.split, scene]
+            assert known.adversarial == has_adversaries(record)
+            assert known.colliding.get(record.planner, 0) == touches.adversary[places].sum()
+            assert known.bystanders.get(record.planner, 0) == touches.others[places].sum()
+            assert shown["samples"].get(record.planner, [0])[0] == touches.adversary[places].sum()
+            assert ("exact" in known.others.get(record.planner, [])) == touches.others[places].any()
             rows = [row for row in record.rows if row.scene == scene]
             hits = [row for row, hit in zip(rows, touches.adversary[places], strict=True) if hit]
             causes = Counter(row.diagnosis.cause for row in hits if row.diagnosis is not None)
-            assert shown["causes"].get(record.planner, {}) == causes
-            failed_samples = sum(row.status == "failed" for row in rows)
-            assert scenes[record.run.split, scene]["failed"].get(record.planner, 0) == failed_samples
-    assert {model["name"] for model in index["models"]} == set(made.workspace.planners)
-    assert IMAGE_TAG in made.workspace.planners
+            assert known.causes.get(record.planner, {}) == causes
+            assert known.failed.get(record.planner, 0) == sum(row.status == "failed" for row in rows)
+    assert {model["name"] for model in index["models"]} == set(site.made.planners)
+    assert IMAGE_TAG in site.made.planners
 
 
 def test_the_index_tells_contacts_with_the_adversary_from_others_and_never_says_zero_for_unknown() -> None:
@@ -125,17 +96,17 @@ def test_the_index_tells_contacts_with_the_adversary_from_others_and_never_says_
         touching("told", {"a": [True, False, None], "b": [False, None, None]}),
         touching("old", {"a": [True, None, None], "b": [None, None, None]}, told=False),
     ]
-    a, b = build_scene_index(records, NO_SCENE_PAGES, (), frozenset())
-    assert a["adversarial"] and b["adversarial"]
-    assert a["verdicts"] == {"told": {"exact": True}, "old": {"exact": None}}
-    assert b["verdicts"] == {"told": {"exact": False}, "old": {"exact": False}}
-    assert (a["others"], b["others"]) == ({"told": ["exact"]}, {"told": ["exact"]})
-    assert (a["unsaid"], b["unsaid"]) == ({"old": ["exact"]}, {})
-    assert a["colliding"] == {"told": 1, "old": None} and a["bystanders"] == {"told": 1, "old": None}
-    assert (b["colliding"], b["bystanders"]) == ({}, {"told": 1})
-    runs = {model["name"]: model["runs"][0]["protocols"]["exact"] for model in build_model_index(records)}
-    assert runs["told"]["scenesHit"] == [1, 2] and runs["told"]["scenesFailed"] == 2
-    assert runs["old"]["scenesHit"] is None and runs["old"]["scenesFailed"] == 1
+    first, second = build_scene_index(records, NO_SCENE_PAGES, (), frozenset())
+    assert first["marks"] == {"told": {"exact": "X"}, "old": {"exact": "w"}}
+    assert second["marks"] == {"told": {"exact": "a"}, "old": {"exact": "o"}}
+    assert first["tally"] == {"exact": "1 of 1 planner hits the adversary, – of 1, whom is not said"}
+    assert second["tally"] == {"exact": "0 of 2 planners hit the adversary, 1 another"}
+    assert first["samples"] == {"told": [1, "; 1 sample hits it, 1 sample another"]}
+    assert second["samples"] == {"told": [0, "; 1 sample another"]}
+    (verdicts,) = first["page"]["tables"]
+    assert [list(row) for row in verdicts["rows"]] == [
+        ["old", "– whom not said", "–", "–", "0", ""], ["told", "✕ hits the adversary", "1", "1", "0", ""],
+    ]  # fmt: skip
     table = build_key_table(DataSetRuns("d", records))
     assert table is not None
     assert [row[table.columns.index("adversary")] for row in table.rows] == ["–", f"{100 / 6:.1f}"]
@@ -160,56 +131,53 @@ def touching(planner: str, scenes: Mapping[str, Sequence[bool | None]], *, told:
     return RunRecord(plain.directory, run, tuple(rows), plain.summary)
 
 
-def test_scenes_are_judged_in_the_index_as_in_the_records(made: Made, folder: Path) -> None:
-    index = value_of((folder / "site" / INDEX_PATH).read_bytes())
-    assert [name for name, _ in index["drivers"]] == list(DRIVER_NAMES)
+def test_scenes_are_judged_in_the_index_as_in_the_records(site: Site, index: Any) -> None:
     scenes = {(scene["split"], scene["scene"]): scene for scene in index["scenes"]}
-    assert all(scene["judgement"] is None for (split, _), scene in scenes.items() if split == "val")
+    summaries = {name[1:]: summary for name, summary in summarise_scenes(site.records, site.sheets).items()}
+    assert all(not scene["judged"] for (split, _), scene in scenes.items() if split == "val")
     touched = 0
-    for record in made.records:
+    for record in site.records:
         attacks = collect_scene_attacks(record)
         for scene in record.run.scenes:
             shown = scenes[record.run.split, scene]
             judgement = record.run.scene_facts[scene].judgement
+            survives = [] if judgement is None else [name for name in DRIVER_NAMES if judgement.survives[name]]
+            assert shown["survives"] == survives and bool(shown["judged"]) is (judgement is not None)
             if judgement is not None:
-                assert shown["judgement"]["survives"] == [name for name in DRIVER_NAMES if judgement.survives[name]]
-                assert shown["judgement"]["ttc"] == judgement.least_ttc_s
-                assert shown["judgement"]["faults"] == [name.replace("_", " ") for name in judgement.faults]
-            else:
-                assert shown["judgement"] is None
+                assert shown["order"].get("tight") == judgement.least_ttc_s
+                faults = [name.replace("_", " ") for name in judgement.faults]
+                assert shown["verdict"][2:] == [f"fault: {name}" for name in faults]
             rows = [row for row in select_counted_rows(record) if row.scene == scene and row.severity is not None]
             contacts = [row.severity.contact for row in rows if row.severity and row.severity.contact]
-            severity = shown["severity"].get(record.planner)
+            severity = summaries[record.run.split, scene].severity.get(record.planner)
             if not contacts:
-                assert severity is None or (severity["contacts"] == 0 and severity["deltaV"] is None)
+                assert severity is None or (severity.contacts == 0 and severity.delta_v is None)
                 continue
             touched += 1
             with_adversary = [each for each in contacts if each.adversary]
-            assert severity["contacts"] == len(with_adversary)
-            assert severity["bystanders"] == len(contacts) - len(with_adversary)
+            assert severity is not None and severity.contacts == len(with_adversary)
+            assert severity.bystanders == len(contacts) - len(with_adversary)
             hardest = max((each.delta_v_ego_m_s for each in with_adversary), default=None)
-            assert severity["deltaV"] == (None if hardest is None else round(hardest, 3))
-            assert severity["atFault"] is attacks[scene].verdicts["at_fault"]
-            assert severity["attributable"] is attacks[scene].verdicts["attributable"]
-    assert touched and any(scene["judgement"] for scene in scenes.values())
+            assert severity.delta_v == hardest == shown.get("severe", {}).get(record.planner, [None])[0]
+            assert severity.at_fault is attacks[scene].verdicts["at_fault"]
+            assert severity.attributable is attacks[scene].verdicts["attributable"]
+    assert touched and any(scene["judged"] for scene in scenes.values())
 
 
-def test_every_scene_has_its_files_and_one_without_a_sheet_says_so(made: Made, folder: Path) -> None:
-    index = value_of((folder / "site" / INDEX_PATH).read_bytes())
+def test_every_scene_has_its_files_and_one_without_a_sheet_says_so(site: Site, index: Any) -> None:
     for scene in index["scenes"]:
         assert scene["key"] == content_key(DATA_NAME, scene["split"], scene["scene"])[:16]
-        assert (folder / "site" / "data" / "scenes" / f"{scene['key']}.js").is_file()
-        assert scene["hasSheet"] is (scene["scene"] != made.workspace.without_sheet)
+        assert (site.index.parent / "data" / "scenes" / f"{scene['key']}.js").is_file()
+        assert scene["hasSheet"] is (scene["scene"] != site.made.without_sheet)
         assert (scene["thumb"] is not None) is scene["hasSheet"]
         for theme in ("thumb", "thumbDark"):
-            assert scene[theme] is None or (folder / "site" / scene[theme]).is_file()
+            assert scene[theme] is None or (site.index.parent / scene[theme]).is_file()
 
 
-def test_a_number_leads_to_its_count_interval_protocol_and_record(made: Made, folder: Path) -> None:
-    index = value_of((folder / "site" / INDEX_PATH).read_bytes())
+def test_a_number_leads_to_its_count_interval_protocol_and_record(site: Site, index: Any) -> None:
     (table,) = [table for table in index["tables"] if table["id"].endswith("-collision-exact")]
     average = table["columns"].index("col. avg")
-    known = {f"{record.content_id} {record.planner} on {record.run.split}": record for record in made.records}
+    known = {f"{record.content_id} {record.planner} on {record.run.split}": record for record in site.records}
     for row, cells in zip(table["rows"], table["cells"], strict=True):
         unit, counted, protocol, who, source = index["origins"][cells[average]["record"]]
         assert [index["words"][place] for place in (unit, counted, protocol)] == ["%", "samples", "exact"]
@@ -221,22 +189,21 @@ def test_a_number_leads_to_its_count_interval_protocol_and_record(made: Made, fo
         assert cells[average].get("low") == (None if rate.low is None else pytest.approx(100 * rate.low, rel=1e-3))
 
 
-def test_what_pages_link_and_show_is_in_the_folder(folder: Path) -> None:
-    site = folder / "site"
-    index = value_of((site / INDEX_PATH).read_bytes())
+def test_what_pages_link_and_show_is_in_the_folder(site: Site, index: Any) -> None:
+    pages = site.index.parent
     assert {"csv", "tex", "json"} == set(index["tables"][0]["files"])
     assert len({table["group"] for table in index["tables"] if not table["group"].startswith("protocol ")}) > 3
     paths = [path for table in index["tables"] for path in table["files"].values()]
     for path in [*paths, *(figure["path"] for figure in index["figures"])]:
-        assert (site / unquote(path)).read_bytes() == (folder / unquote(path)).read_bytes()
+        assert (pages / unquote(path)).read_bytes() == (site.board / unquote(path)).read_bytes()
     (rates,) = [figure for figure in index["figures"] if figure["title"] == "Rates"]
-    assert (site / unquote(rates["dark"])).read_bytes() == FIGURE.dark()
-    assert not (folder / unquote(rates["dark"])).exists()
-    page = (site / "index.html").read_text()
+    assert (pages / unquote(rates["dark"])).read_bytes() == FIGURE.dark()
+    assert not (site.board / unquote(rates["dark"])).exists()
+    page = (pages / "index.html").read_text()
     scripts = set(re.findall(r'(?:src|href)="([a-z_/]+\.(?:js|css))"', page))
     assert scripts == {path.name for path in ASSETS.iterdir() if path.suffix != ".html"} | {INDEX_PATH}
     assert "default-src 'none'" in page
-    assert "site/index.html" in (folder / "README.md").read_text()
+    assert "site/index.html" in (site.board / "README.md").read_text()
 
 
 @pytest.mark.parametrize("path", sorted(ASSETS.iterdir()), ids=lambda path: path.name)
@@ -246,57 +213,59 @@ def test_pages_ask_nobody_and_make_no_code_of_texts(path: Path) -> None:
         assert forbidden not in text
 
 
-def test_the_order_of_records_changes_no_byte(made: Made, folder: Path, tmp_path: Path) -> None:
-    write_leaderboard(read_results(made.records[::-1], sheets=made.sheets), tmp_path)
-    for path in sorted((folder / "site").rglob("*")):
-        assert path.is_dir() or (tmp_path / path.relative_to(folder)).read_bytes() == path.read_bytes()
+def test_the_order_of_records_changes_no_byte(site: Site) -> None:
+    sheets = ScenePages(site.sheets.splits, dict(list(site.sheets.scenes.items())[:2]))
+    forwards, backwards = (
+        build_site_files(read_results(records, sheets=sheets), []) for records in (site.records, site.records[::-1])
+    )
+    assert forwards == backwards and list(forwards) == list(backwards)
+
+
+@pytest.fixture
+def small(site: Site, no_drawing: None) -> LeaderboardResults:
+    """Of one run, with the sheet of one scene."""
+    scenes = dict([next(iter(site.sheets.scenes.items()))])
+    return read_results(site.records[:1], sheets=ScenePages({}, scenes))
 
 
 def test_a_changed_missing_or_foreign_file_makes_the_site_stale_until_written_again(
-    made: Made, folder: Path, tmp_path: Path
+    small: LeaderboardResults, tmp_path: Path
 ) -> None:
-    write_leaderboard(read_results(made.records, sheets=made.sheets), tmp_path)
-    assert find_stale_files(read_results(made.records, sheets=made.sheets), tmp_path) == []
-    site = tmp_path / "site"
-    pictures = sorted(site.glob("media/*/cameras/*.webp"))
+    pages = tmp_path / "site"
+    # A first site that was killed before its first file is begun again.
+    write_bytes(pages / "data" / ".index.js.42.part", b"half")
+    write_leaderboard(small, tmp_path)
+    assert find_stale_files(small, tmp_path) == [] and not list(tmp_path.rglob(".*"))
+    pictures = sorted(pages.glob("media/*/cameras/*.webp"))
     pictures[0].write_bytes(b"other")
-    (site / "app.js").unlink()
-    write_bytes(site / "media" / "gone" / "thumb.webp", b"old")
-    stale = find_stale_files(read_results(made.records, sheets=made.sheets), tmp_path)
-    assert sorted(sentence.removeprefix(f"{site}/") for sentence in stale) == sorted([
+    (pages / "app.js").unlink()
+    write_bytes(pages / "media" / "gone" / "thumb.webp", b"old")
+    assert sorted(sentence.removeprefix(f"{pages}/") for sentence in find_stale_files(small, tmp_path)) == sorted([
         "app.js is missing",
-        f"{pictures[0].relative_to(site)} differs from the run records",
+        f"{pictures[0].relative_to(pages)} differs from the run records",
         "media/gone/thumb.webp is no longer produced from the run records",
     ])  # fmt: skip
-    write_leaderboard(read_results(made.records, sheets=made.sheets), tmp_path)
-    assert find_stale_files(read_results(made.records, sheets=made.sheets), tmp_path) == []
+    write_leaderboard(small, tmp_path)
+    assert find_stale_files(small, tmp_path) == []
 
 
-def test_a_folder_that_is_no_site_of_ours_is_left_alone(made: Made, tmp_path: Path) -> None:
+def test_a_folder_that_is_no_site_of_ours_is_left_alone(small: LeaderboardResults, tmp_path: Path) -> None:
     write_bytes(tmp_path / "site" / "index.html", b"mine")
     with pytest.raises(InputError, match="--no-site"):
-        write_leaderboard(read_results(made.records, sheets=made.sheets), tmp_path)
+        write_leaderboard(small, tmp_path)
     assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["index.html"]
-    write_leaderboard(read_results(made.records, sheets=made.sheets), tmp_path, site=False)
+    write_leaderboard(small, tmp_path, site=False)
     assert (tmp_path / "site" / "index.html").read_bytes() == b"mine"
     assert "site/index.html" not in (tmp_path / "README.md").read_text()
-    assert find_stale_files(read_results(made.records, sheets=made.sheets), tmp_path, site=False) == []
+    assert find_stale_files(small, tmp_path, site=False) == []
 
 
-def test_a_first_site_that_was_killed_before_its_first_file_is_begun_again(made: Made, tmp_path: Path) -> None:
-    (tmp_path / "site" / "data").mkdir(parents=True)
-    (tmp_path / "site" / "data" / ".index.js.42.part").write_bytes(b"half")
-    write_leaderboard(read_results(made.records, sheets=made.sheets), tmp_path)
-    assert find_stale_files(read_results(made.records, sheets=made.sheets), tmp_path) == []
-    assert not list(tmp_path.rglob(".*"))
-
-
-def test_a_sheet_of_other_content_is_refused(made: Made) -> None:
-    name, stored = next(iter(made.sheets.scenes.items()))
+def test_a_sheet_of_other_content_is_refused(site: Site) -> None:
+    name, stored = next(iter(site.sheets.scenes.items()))
     data = stored.sheet.data.model_copy(update={"fingerprint": "other"})
     other = StoredScenePage(stored.directory, stored.sheet.model_copy(update={"data": data}), None)
     with pytest.raises(InputError, match="challenger-bench sheets again"):
-        build_scene_index(made.records, ScenePages(made.sheets.splits, {name: other}), (), frozenset())
+        build_scene_index(site.records, ScenePages(site.sheets.splits, {name: other}), (), frozenset())
 
 
 def test_a_site_of_sheets_alone_and_of_nothing() -> None:
@@ -304,11 +273,12 @@ def test_a_site_of_sheets_alone_and_of_nothing() -> None:
     assert (empty["tables"], empty["models"], empty["scenes"], empty["attempts"]) == ([], [], [], [])
 
 
-def test_attempts_say_why_vehicles_were_discarded(made: Made, folder: Path) -> None:
-    attempts = value_of((folder / "site" / INDEX_PATH).read_bytes())["attempts"]
-    sheet = made.sheets.splits[DATA_NAME, "adv"]
-    assert [attempt.get("reason") for attempt in attempts] == [attempt.discarded for attempt in sheet.attempts]
-    keys = {attempt["scene"]: attempt["key"] for attempt in attempts if "scene" in attempt}
+def test_attempts_say_why_vehicles_were_discarded(site: Site, index: Any) -> None:
+    sheet = site.sheets.splits[DATA_NAME, "adv"]
+    reasons = [attempt.discarded or "kept" for attempt in sheet.attempts]
+    assert [attempt["reason"] for attempt in index["attempts"]] == reasons
+    assert dict(index["attemptTally"]) == Counter(reasons)
+    keys = {attempt["scene"]: attempt["key"] for attempt in index["attempts"] if "scene" in attempt}
     assert keys == {name: content_key(DATA_NAME, "adv", name)[:16] for name in keys}
 
 
@@ -321,12 +291,12 @@ def test_tables_have_names_of_their_own_whatever_data_sets_are_called() -> None:
     assert ids == ["a-b-c", "a-b-c~2", "p"]
 
 
-def test_settings_that_are_no_numbers_of_json_are_shown_as_text(made: Made) -> None:
-    record = made.records[0]
+def test_settings_that_are_no_numbers_of_json_are_shown_as_text(site: Site) -> None:
+    record = site.records[0]
     planner = record.run.planner.model_copy(update={"settings": {"gain": float("nan"), "file": "a'b"}})
     odd = replace(record, run=record.run.model_copy(update={"planner": planner}))
     index = build_index(LeaderboardResults((DataSetRuns(DATA_NAME, [odd]),)), [], [], frozenset())
-    assert index["models"][0]["facts"]["settings"] == {"gain": "NaN", "file": "a'b"}
+    assert index["models"][0]["facts"][-1] == ["settings", "gain: NaN; file: a'b"]
     encode_script("window.X", index)
 
 
@@ -343,7 +313,7 @@ def test_settings_that_are_no_numbers_of_json_are_shown_as_text(made: Made) -> N
         ),
     )
 )
-@settings(deadline=None)
+@settings(deadline=None, max_examples=25)
 def test_any_labels_have_words(label: dict[str, Any]) -> None:
     assert isinstance(describe_label(label), str)
 
@@ -358,19 +328,20 @@ def test_labels_in_words() -> None:
     assert describe_label(label) == "cut-in-left; on: straight; closest 0.40 m, left, at 9.2 s; also blocking"
 
 
-def test_the_index_stays_small(made: Made) -> None:
+def test_the_index_stays_small(site: Site) -> None:
     """150 scenes and 10 planners have to stay below 2 MB with all tables."""
-    scenes = build_scene_index(made.records, made.sheets, (), frozenset())
-    each = len(encode_script("window.X", scenes)) / (len(scenes) * len(made.workspace.planners))
+    scenes = build_scene_index(site.records, site.sheets, (), frozenset())
+    for scene in scenes:
+        del scene["page"]
+    each = len(encode_script("window.X", scenes)) / (len(scenes) * len(site.made.planners))
     assert each < 600
 
 
-def test_the_first_page_has_each_planners_averages_and_the_effect(made: Made, folder: Path) -> None:
-    index = value_of((folder / "site" / INDEX_PATH).read_bytes())
+def test_the_first_page_has_each_planners_averages_and_the_effect(site: Site, index: Any) -> None:
     (key,) = index["keyTables"]
     assert key["columns"] == ["planner", "average", "95 %", "average", "95 %", "adversary", "difference", "95 %"]
     assert key["groups"] == [["", 1], ["val", 2], ["adv", 2], ["effect of the adversary", 3]]
-    by_run = {(record.planner, record.run.split): record for record in made.records}
+    by_run = {(record.planner, record.run.split): record for record in site.records}
     assert {row[0].removesuffix(" †") for row in key["rows"]} == {planner for planner, _ in by_run}
     for row in key["rows"]:
         rates = [
@@ -384,15 +355,15 @@ def test_the_first_page_has_each_planners_averages_and_the_effect(made: Made, fo
         assert float(row[6]) == pytest.approx(100 * (caused.paired.difference.value or 0.0), abs=0.051)
 
 
-def test_miniatures_carry_their_mark(made: Made) -> None:
-    planner = made.records[0].run.planner.model_copy(update={"miniature": True})
+def test_miniatures_carry_their_mark(site: Site) -> None:
+    planner = site.records[0].run.planner.model_copy(update={"miniature": True})
     small = [
         replace(record, run=record.run.model_copy(update={"planner": planner}))
-        for record in made.records
+        for record in site.records
         if record.planner == planner.name
     ]
     index = build_index(LeaderboardResults((DataSetRuns(DATA_NAME, small),)), [], [], frozenset())
-    assert index["models"][0]["miniature"] is True
+    assert index["models"][0]["shown"] == f"{planner.name} §" and "pipeline" in index["models"][0]["lead"][0]
     assert index["keyTables"][0]["rows"][0][0] == f"{planner.name} §"
     assert "§ miniature: demonstrates the pipeline; not for ranking." in index["keyTables"][0]["notes"]
 

@@ -1,7 +1,5 @@
 """Scripts and pictures of scenes in the site: what the player draws is what the records and sheets say."""
 
-import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,13 +16,14 @@ from benchmark.geometry import Floats, to_global
 from benchmark.planning import Plan, PlanFrame
 from benchmark.protocols.exact import compute_plan_boxes
 from benchmark.records.row_schema import DiagnosisRow, ForecastRow, OutcomeRow, PlanRow, SampleRow
-from benchmark.records.run import RunRecord, find_records
-from benchmark.records.scene_pages import NO_SCENE_PAGES, PageMap, ScenePages, find_scene_pages, picture_name
+from benchmark.records.scene_pages import NO_SCENE_PAGES, PageMap, ScenePages, picture_name
 from leaderboard.site.packing import CENTIMETRE, pack_path, pack_series
 from leaderboard.site.scene_data import THUMBNAIL_PX, build_scene_files, draw_thumbnail, find_closest_frame
-from leaderboard.site.scene_index import scene_key
-from leaderboard.site.scene_plans import COUNTED, FORECASTS_SHOWN, MODES_SHOWN, build_sample
-from tests.leaderboard.site.big_workspace import DATA_NAME, BigWorkspace, make_workspace
+from leaderboard.site.scene_facts import scene_key
+from leaderboard.site.scene_plans import FORECASTS_SHOWN, MODES_SHOWN, build_sample
+from tests.leaderboard.site.big_workspace import DATA_NAME
+from tests.leaderboard.site.conftest import Site
+from tests.leaderboard.site.test_index import value_of
 
 AHEAD_M = 0.94
 POSE = np.array([40.0, -12.0, 0.7])
@@ -45,15 +44,10 @@ def path_of(steps: Sequence[int], unit: float = CENTIMETRE, start: tuple[float, 
     return np.asarray((np.cumsum(np.array(steps, np.float64).reshape(-1, 2), axis=0) + first) * unit)
 
 
-def value_of(script: bytes | Path) -> dict[str, Any]:
+def script_value(script: bytes | Path) -> Any:
     """The object in a scene's script."""
     assert isinstance(script, bytes)
-    text = script.decode("ascii")
-    literal = re.search(r"JSON\.parse\('(.*)'\);\n$", text, re.DOTALL)
-    assert literal
-    found = json.loads(re.sub(r"\\(x3c|.)", lambda match: "<" if match[1] == "x3c" else match[1], literal[1]))
-    assert isinstance(found, dict)
-    return found
+    return value_of(script)
 
 
 def row_of(plan: PlanRow | None, **changes: Any) -> SampleRow:
@@ -81,23 +75,8 @@ def outcome(collision: str, *, counted: bool = True) -> OutcomeRow:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> BigWorkspace:
-    return make_workspace(tmp_path_factory.mktemp("made"), scenes=6, models=3, samples=12)
-
-
-@pytest.fixture(scope="module")
-def records(made: BigWorkspace) -> list[RunRecord]:
-    return find_records(made.out / "runs")
-
-
-@pytest.fixture(scope="module")
-def sheets(made: BigWorkspace) -> ScenePages:
-    return find_scene_pages(made.out / "sheets")
-
-
-@pytest.fixture(scope="module")
-def files(sheets: ScenePages, records: list[RunRecord]) -> Mapping[str, bytes | Path]:
-    return build_scene_files(sheets, records)
+def files(site: Site) -> Mapping[str, bytes | Path]:
+    return build_scene_files(site.sheets, site.records)
 
 
 @given(st.lists(st.one_of(st.none(), st.floats(-1e5, 1e5)), max_size=30))
@@ -162,12 +141,9 @@ def test_verdicts_contacts_and_causes() -> None:
         diagnosis=DiagnosisRow(cause="unseen", reason="no forecast near", hit="b", first_contact_s=1.8),
     )
     entry = build_sample(row, POSE, ["exact", "uniad", "vad", "sparsedrive"], {"a": 0, "b": 1})
-    assert entry["verdicts"] == [COUNTED + 0b011000, 0b010000, COUNTED, None]
-    assert entry["contact"] == [1.8, 2.5, None, None]
+    assert entry["judged"] == [["oxx", 1, 1.8, "1.8 s"], ["oox", 0, 2.5, "2.5 s"], ["ooo", 1], None]
     assert (entry["cause"], entry["reason"], entry["hit"]) == ("unseen", "no forecast near", 1)
-    assert entry["l2"] == [0.12] * 5 + [None]
-    gone = build_sample(row, POSE, ["exact"], {})
-    assert "hit" not in gone and "whom" not in gone
+    assert entry["l2"] == ["0.12", "0.12", "–"] and "hit" not in build_sample(row, POSE, ["exact"], {})
 
 
 def test_whom_a_plan_touches_first_is_said_on_splits_with_adversaries() -> None:
@@ -180,9 +156,9 @@ def test_whom_a_plan_touches_first_is_said_on_splits_with_adversaries() -> None:
         "vad": outcome("......"),
     }
     row, protocols = row_of(plan, outcomes=verdicts), [*verdicts, "stp3"]
-    assert build_sample(row, POSE, protocols, {}, known=True)["whom"] == [1, 0, None, None, None]
-    assert build_sample(row, POSE, protocols, {}, known=False)["whom"] == [None] * 5
-    assert "whom" not in build_sample(row, POSE, ["vad"], {}, known=True)
+    told, untold = (build_sample(row, POSE, protocols, {}, known=known)["judged"] for known in (True, False))
+    assert [each and each[0] for each in told] == ["oXX", "oaa", "oww", "ooo", None]
+    assert [each and each[0] for each in untold] == ["oww", "oww", "oww", "ooo", None]
 
 
 def test_a_failure_is_its_last_line_and_no_plan() -> None:
@@ -199,58 +175,67 @@ def test_a_plan_with_lists_of_wrong_lengths_is_named() -> None:
 
 
 def test_every_scene_has_a_script_that_says_what_sheet_and_records_say(
-    made: BigWorkspace, records: list[RunRecord], sheets: ScenePages, files: Mapping[str, bytes | Path]
+    site: Site, files: Mapping[str, bytes | Path]
 ) -> None:
-    scripts = {path: value_of(content) for path, content in files.items() if path.startswith("data/")}
-    assert len(scripts) == len(made.scenes)
+    scripts = {path: script_value(content) for path, content in files.items() if path.startswith("data/")}
+    assert len(scripts) == len(site.made.scenes)
     for path, value in scripts.items():
         key = scene_key((value["data"], value["split"], value["scene"]))
         assert (path, value["key"]) == (f"data/scenes/{key}.js", key)
-        stored = sheets.scenes.get((value["data"], value["split"], value["scene"]))
+        stored = site.sheets.scenes.get((value["data"], value["split"], value["scene"]))
         assert value["hasSheet"] == (stored is not None)
-        assert [model["name"] for model in value["models"]] == sorted(made.planners)
+        assert {model["name"] for model in value["models"]} == set(site.made.planners)
         rows = {
             record.planner: [row for row in record.rows if row.scene == value["scene"]]
-            for record in records
+            for record in site.records
             if record.run.split == value["split"]
         }
         for model in value["models"]:
             for row, entry in zip(rows[model["name"]], model["samples"], strict=True):
                 assert ("failed" in entry) == (row.status == "failed")
                 if row.status == "ok":
-                    bits = entry["verdicts"][value["protocols"].index("exact")]
-                    hits = [bool(bits >> step & 1) for step in range(6)]
-                    assert (hits, bits >= COUNTED) == (row.outcomes["exact"].collision, row.outcomes["exact"].counted)
+                    marks, counted, *contact = entry["judged"][value["protocols"].index("exact")]
+                    hits = row.outcomes["exact"].collision or []
+                    assert [mark != "o" for mark in marks] == [any(hits[:step]) for step in (2, 4, 6)]
+                    assert (counted, bool(contact)) == (row.outcomes["exact"].counted, any(hits))
+        for place, names in enumerate(value["shown"]):
+            first = {model["name"]: model["first"][place] for model in value["models"]}
+            if None in first.values() and set(first.values()) != {None}:
+                assert {first[name] is None for name in names} == {True, False}
+        apart = value["apart"][0][0][0]
+        if apart is not None:
+            ends = [path_of(model["samples"][0]["path"])[[2, 4, 6]] for model in value["models"][:2]]
+            assert apart == [f"{metres:.2f}" for metres in np.hypot(*(ends[0] - ends[1]).T)]
         if stored is not None:
             assert [sample["frame"] for sample in value["samples"]] == list(stored.sheet.keyframes)
-            assert [sample["command"] for sample in value["samples"]] == [row.command for row in rows[made.planners[1]]]
+            assert [sample["command"] for sample in value["samples"]] == [
+                row.command for row in rows[site.made.planners[1]]
+            ]
             for agent, drawn in zip(stored.sheet.agents, value["agents"], strict=True):
                 assert unpacked(drawn["x"], drawn["count"], CENTIMETRE) == pytest.approx(agent.x_m, abs=0.006)
 
 
-def test_a_scene_without_a_sheet_is_in_the_frame_of_the_ego(
-    made: BigWorkspace, records: list[RunRecord], files: Mapping[str, bytes | Path]
-) -> None:
-    key = scene_key((DATA_NAME, "val", made.without_sheet))
-    value = value_of(files[f"data/scenes/{key}.js"])
+def test_a_scene_without_a_sheet_is_in_the_frame_of_the_ego(site: Site, files: Mapping[str, bytes | Path]) -> None:
+    key = scene_key((DATA_NAME, "val", site.made.without_sheet))
+    value = script_value(files[f"data/scenes/{key}.js"])
     assert (value["ego"], value["agents"], value["pictures"], value["origin"]) == (None, [], [], None)
     assert not [path for path in files if path.startswith(f"media/{key}/")]
-    record = next(found for found in records if found.run.split == "val")
-    rows = [row for row in record.rows if row.scene == made.without_sheet]
+    record = next(found for found in site.records if found.run.split == "val")
+    rows = [row for row in record.rows if row.scene == site.made.without_sheet]
     assert value["frames"] == pytest.approx([0.5 * index for index in range(len(rows))])
     first = rows[0].recorded_future[0]
     assert first is not None
     way = path_of(value["recorded"][0])
     assert way[0] == pytest.approx([first[1] + rows[0].lidar_ahead_m, -first[0]], abs=0.006)
-    assert path_of(value["models"][1]["samples"][0]["path"])[0] == pytest.approx(
+    assert path_of(value["models"][0]["samples"][0]["path"])[0] == pytest.approx(
         [rows[0].lidar_ahead_m, 0.0], abs=0.006
     )
     assert len(way) == 6
     assert value["recorded"][-1] == []
 
 
-def test_pictures_are_copied_and_thumbnails_drawn(sheets: ScenePages, files: Mapping[str, bytes | Path]) -> None:
-    for name, stored in sheets.scenes.items():
+def test_pictures_are_copied_and_thumbnails_drawn(site: Site, files: Mapping[str, bytes | Path]) -> None:
+    for name, stored in site.sheets.scenes.items():
         key = scene_key(name)
         for frame in stored.sheet.pictures:
             assert files[f"media/{key}/{picture_name(frame)}"] == stored.picture_path(frame)
@@ -259,8 +244,8 @@ def test_pictures_are_copied_and_thumbnails_drawn(sheets: ScenePages, files: Map
         assert cv2.imdecode(np.frombuffer(thumb, np.uint8), cv2.IMREAD_COLOR).shape == (THUMBNAIL_PX, THUMBNAIL_PX, 3)
 
 
-def test_the_thumbnail_shows_the_closest_approach(sheets: ScenePages) -> None:
-    sheet = next(stored.sheet for (_, split, _), stored in sheets.scenes.items() if split == "adv")
+def test_the_thumbnail_shows_the_closest_approach(site: Site) -> None:
+    sheet = next(stored.sheet for (_, split, _), stored in site.sheets.scenes.items() if split == "adv")
     frame = find_closest_frame(sheet)
     adversary = next(agent for agent in sheet.agents if agent.adversary)
 
@@ -274,33 +259,33 @@ def test_the_thumbnail_shows_the_closest_approach(sheets: ScenePages) -> None:
     assert draw_thumbnail(sheet) == draw_thumbnail(sheet)
 
 
-def test_same_records_same_bytes_in_any_order(
-    sheets: ScenePages, records: list[RunRecord], files: Mapping[str, bytes | Path]
-) -> None:
-    again = build_scene_files(replace(sheets, scenes=dict(list(sheets.scenes.items())[::-1])), records[::-1])
+def test_same_records_same_bytes_in_any_order(site: Site, files: Mapping[str, bytes | Path]) -> None:
+    again = build_scene_files(
+        replace(site.sheets, scenes=dict(list(site.sheets.scenes.items())[::-1])), site.records[::-1]
+    )
     assert again == files
     assert list(again) == list(files)
 
 
-def test_scripts_are_small_and_hold_no_markup(made: BigWorkspace, files: Mapping[str, bytes | Path]) -> None:
+def test_scripts_are_small_and_hold_no_markup(site: Site, files: Mapping[str, bytes | Path]) -> None:
     for path, content in files.items():
         if path.startswith("data/"):
             assert isinstance(content, bytes)
             assert b"<" not in content
             # 500 KB for 10 planners and 40 samples, less what 30 agents and the map need once.
-            assert len(content) < 100_000 + 400_000 * len(made.planners) * 12 / 400
+            assert len(content) < 100_000 + 400_000 * len(site.made.planners) * 12 / 400
 
 
-def test_a_sheet_that_lacks_a_sample_is_refused(sheets: ScenePages, records: list[RunRecord]) -> None:
-    name, stored = next((name, stored) for name, stored in sheets.scenes.items() if name[1] == "adv")
+def test_a_sheet_that_lacks_a_sample_is_refused(site: Site) -> None:
+    name, stored = next((name, stored) for name, stored in site.sheets.scenes.items() if name[1] == "adv")
     tokens = tuple(f"other {token}" for token in stored.sheet.sample_tokens)
     other = replace(stored, sheet=stored.sheet.model_copy(update={"sample_tokens": tokens}))
     with pytest.raises(InputError, match="challenger-bench sheets"):
-        build_scene_files(ScenePages({}, {name: other}), records)
+        build_scene_files(ScenePages({}, {name: other}), site.records)
 
 
-def test_a_sheet_with_lists_of_different_lengths_is_refused(sheets: ScenePages) -> None:
-    name, stored = next(iter(sheets.scenes.items()))
+def test_a_sheet_with_lists_of_different_lengths_is_refused(site: Site) -> None:
+    name, stored = next(iter(site.sheets.scenes.items()))
     for changes in (
         {"timestamps_us": stored.sheet.timestamps_us[:-1]},
         {"sample_tokens": stored.sheet.sample_tokens[:-1]},
@@ -311,8 +296,8 @@ def test_a_sheet_with_lists_of_different_lengths_is_refused(sheets: ScenePages) 
             build_scene_files(ScenePages({}, {name: cut}), [])
 
 
-def test_an_empty_scene_and_one_with_nobody_in_it(sheets: ScenePages) -> None:
-    name, stored = next(iter(sheets.scenes.items()))
+def test_an_empty_scene_and_one_with_nobody_in_it(site: Site) -> None:
+    name, stored = next(iter(site.sheets.scenes.items()))
     nobody = stored.sheet.model_copy(update={"agents": (), "pictures": (), "cameras": (), "road": PageMap()})
     nothing = {"x_m": (), "y_m": (), "yaw_rad": ()}
     empty = nobody.model_copy(
@@ -325,7 +310,7 @@ def test_an_empty_scene_and_one_with_nobody_in_it(sheets: ScenePages) -> None:
     )
     for sheet, count in ((nobody, len(nobody.keyframes)), (empty, 0)):
         files = build_scene_files(ScenePages({}, {name: replace(stored, sheet=sheet)}), [])
-        value = value_of(files[f"data/scenes/{scene_key(name)}.js"])
+        value = script_value(files[f"data/scenes/{scene_key(name)}.js"])
         assert (len(value["samples"]), value["agents"]) == (count, [])
         assert (f"media/{scene_key(name)}/thumb.webp" in files) == (count > 0)
 
@@ -334,9 +319,9 @@ def test_nothing_is_made_of_nothing() -> None:
     assert build_scene_files(NO_SCENE_PAGES, []) == {}
 
 
-def test_a_sheet_alone_is_a_scene(sheets: ScenePages) -> None:
-    files = build_scene_files(sheets, [])
-    values = [value_of(content) for path, content in files.items() if path.startswith("data/")]
-    assert len(values) == len(sheets.scenes)
+def test_a_sheet_alone_is_a_scene(site: Site) -> None:
+    files = build_scene_files(site.sheets, [])
+    values = [script_value(content) for path, content in files.items() if path.startswith("data/")]
+    assert len(values) == len(site.sheets.scenes)
     assert all(value["models"] == [] and value["protocols"] == [] for value in values)
     assert {sample["command"] for value in values for sample in value["samples"]} == {None}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from adapters.planners.log_replay import LogReplay
-from benchmark.closed_loop.engines import ENGINES, make_backend
+from benchmark.closed_loop.engines import list_engines, make_backend
 from benchmark.closed_loop.episodes import run_episode
 from benchmark.closed_loop.planner_calls import FailureReason
 from benchmark.closed_loop.scoring import score_episode
@@ -118,7 +118,7 @@ def test_a_planner_sees_who_is_put_in_and_nobody_who_is_gone() -> None:
 
 
 def test_the_engine_is_part_of_the_key_of_a_drive(tmp_path: Path) -> None:
-    makers = [type(make_backend(engine)).__name__ for engine in ENGINES]
+    makers = [type(make_backend(engine)).__name__ for engine in list_engines()]
     assert makers == ["DefaultBackend", "NeuroncapBackend", "NeuroncapBackend"]
     planner = Straight()
     driven(tmp_path, planner)
