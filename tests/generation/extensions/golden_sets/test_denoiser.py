@@ -73,6 +73,7 @@ def test_another_salt_and_other_rules_need_other_numbers(slim: Path) -> None:
         assert "predicted noise" in failures(DENOISER.verify(slim))
 
 
+@pytest.mark.path
 def test_a_set_of_another_size_agrees_and_every_array_is_compared_or_named(slim: Path) -> None:
     arrays = load(slim / "parity.npz")
     save(slim / "parity.npz", arrays | {"something_new": np.zeros(3)})

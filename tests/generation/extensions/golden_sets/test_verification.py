@@ -26,6 +26,7 @@ from tests.generation.extensions.golden_sets.golden_copies import (
     shifted,
 )
 
+PATH = pytest.mark.path
 SHARED = Path(__file__).resolve().parents[5] / "shared" / "golden"
 
 
@@ -37,8 +38,7 @@ def _one_thread() -> Iterator[None]:
     torch.set_num_threads(before)
 
 
-@pytest.mark.path
-@pytest.mark.parametrize("kind", VERIFY)
+@pytest.mark.parametrize("kind", [pytest.param("physics", marks=PATH), pytest.param("scoring", marks=PATH), "denoiser"])
 def test_built_in_sets_agree_and_are_small(kind: str) -> None:
     checks = VERIFY[kind](None)
     assert not failures(checks), format_report(checks)

@@ -37,6 +37,15 @@ def driven(out: Path, settings: DriveSettings = ADVERSARY, planners: Any = PLANN
     return drive_planners(town(), "val", planners, out, settings, reopen=town)
 
 
+@pytest.mark.path
+def test_a_planner_is_driven_against_an_adversary_that_answers(tmp_path: Path) -> None:
+    (record,) = driven(tmp_path, replace(ADVERSARY, runs=1, ladder=("cc",)), PLANNERS[:1])
+    assert len(record.rows) == 2 and load_drives(record.directory).rows == record.rows
+    for row in record.rows:
+        assert row.adversary is not None and row.adversary.replanned[0] == row.adversary.start >= 12
+        assert row.ladder is not None and set(row.ladder) == {"cc"}
+
+
 @pytest.fixture(scope="module")
 def records(tmp_path_factory: pytest.TempPathFactory) -> list[DriveRecord]:
     return driven(tmp_path_factory.mktemp("adversary"))
@@ -57,7 +66,6 @@ def test_what_the_adversary_depends_on_is_part_of_what_was_measured(records: lis
     assert not {"adversary", "ladder"} & set(plain.rows[0].model_dump(mode="json"))
 
 
-@pytest.mark.path
 def test_every_drive_says_where_the_adversary_went_and_whom_the_encounter_is_fair_to(
     records: list[DriveRecord],
 ) -> None:
