@@ -114,7 +114,7 @@ def test_a_hostile_file_is_one_sentence_within_seconds(
     tmp_path: Path, variant: Variant, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     suffix, readers = READERS[variant.kind]
-    if variant.kind == "scenarionet":
+    if variant.kind == "scenarionet" and variant.name != "twenty thousand tracks":
         monkeypatch.setattr(children, "_run", read_here)
     path = tmp_path / f"hostile{suffix}"
     path.write_bytes(variant.change(valid_bytes(variant.kind, tmp_path)))
