@@ -90,6 +90,7 @@ AFTER = {
     "command": "margins --out out",
     "exporter": "data export csv town --to csv",
     "leaderboard": "leaderboard --out out",
+    "rescore": "rescore --data town --out out",
 }
 
 
@@ -208,6 +209,13 @@ def test_removed_the_records_it_judged_and_drove_are_still_shown(tried: Tried) -
     assert "easing" in files["README.md"] and "engine overshoot" in files["README.md"]
     assert "judged by protocol margin, of an extension that is not installed here" in files["README.md"]
     assert "Engine overshoot: of an extension that is not installed here." in files["README.md"]
+
+
+def test_removed_rescore_keeps_its_verdicts(tried: Tried) -> None:
+    said = tried.after["rescore"]
+    assert said.code != 0 and "holds verdicts of margin, which is not installed" in said.out + said.err
+    stored = [json.loads(path.read_text()) for path in tried.work.glob("out/runs/**/run.json")]
+    assert [run["protocols"]["margin"] for run in stored] == [1, 1]
 
 
 def blocks(page: Path) -> list[str]:

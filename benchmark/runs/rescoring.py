@@ -77,10 +77,11 @@ def rescore(record_directory: Path, data: "DataSet", *, protocols: Sequence[str]
         The record.
 
     Raises:
-        InputError: If the record is damaged or cannot be written, a protocol is unknown, or the data is another.
+        InputError: If the record is damaged or cannot be written, a protocol is unknown, the data is another, or a
+            judge of the record is not installed and `protocols` does not say that its verdicts may go.
     """
     with ExitStack() as held:
-        opened = _open(record_directory, lambda _: data, tuple(PROTOCOLS) if protocols is None else protocols, held)
+        opened = _open(record_directory, lambda _: data, protocols, held)
         assert not isinstance(opened, str)
         for scene in opened.old.run.scenes:
             reading = SceneReading(data, scene)
@@ -107,8 +108,7 @@ def rescore_all(
     """
     if not root.is_dir():
         raise InputError(f"{root} does not exist; run challenger-bench eval first, or give the right folder with --out")
-    protocols = tuple(PROTOCOLS) if protocols is None else protocols
-    for name in protocols:
+    for name in protocols or ():
         find_protocol(name)
     opened: OpenedDataSets = {}
 
@@ -174,11 +174,11 @@ class _OpenedRecord:
 def _open(
     directory: Path,
     open_for: Callable[[RunRecord], "DataSet | None"],
-    protocols: Sequence[str],
+    protocols: Sequence[str] | None,
     held: ExitStack,
 ) -> _OpenedRecord | str:
     """A record to be judged anew, locked against other writers until ``held`` ends; or why it is left alone."""
-    versions = {name: find_protocol(name).version for name in protocols}
+    versions = {name: find_protocol(name).version for name in (PROTOCOLS if protocols is None else protocols)}
     if not directory.is_dir():
         raise InputError(f"no run record in {directory}; give the folder that holds its {RUN_FILE}")
     with ExitStack() as own:
@@ -189,6 +189,11 @@ def _open(
         if data is None:
             return f"skipped: it belongs to data set {old.run.data.name}; choose that one with --data"
         require_same_data(directory, old.run, data)
+        if protocols is None and (gone := [name for name in old.run.protocols if name not in PROTOCOLS]):
+            raise InputError(
+                f"{directory} holds verdicts of {', '.join(gone)}, which is not installed; install its package, "
+                "or run challenger-bench eval again"
+            )
         held.enter_context(own.pop_all())
     counts = AnnotationCount.together(list(data.annotation_counts(old.run.scenes).values()))
     return _OpenedRecord(old, data, versions, find_unjudged(counts, tuple(versions)))
