@@ -34,12 +34,6 @@ MOST_PARAMETERS = 3_000_000
 ALSO_SAFER = {"vad-mini"}
 """Whose plans collide clearly more often without their own images; plans of all are clearly farther off."""
 SAMPLES = 10
-NATIVE = {
-    "uniad-mini": "uniad",
-    "vad-mini": "vad",
-    "sparsedrive-mini": "sparsedrive",
-    "diffusiondrive-mini": "diffusiondrive",
-}
 
 
 @pytest.fixture(scope="module")
@@ -118,14 +112,10 @@ def test_kinds_of_planners_are_told_apart() -> None:
     kinds = (*baselines(), *published_models(), *miniatures())
     assert len(set(kinds)) == len(kinds)
     assert set(MODELS) - set(kinds) == {"vad", "uniad-unoptimised", "uniad-ipopt"}
-    assert MODELS["vad"].name == "vad-base" and published_as("VAD") == "VAD"
-    assert {name: published_as(name) for name in ("UniAD", "vad-tiny", "uniad-mini", "mine")} == {
-        "UniAD": "UniAD",
-        "vad-tiny": None,
-        "uniad-mini": None,
-        "mine": None,
-    }
+    assert MODELS["vad"].name == "vad-base" and published_as("VAD") == "VAD" and published_as("UniAD") == "UniAD"
+    assert not any(map(published_as, ("vad-tiny", "uniad-mini", "mine")))
     assert {name for name, model in MODELS.items() if model.blind} == set(baselines())
+    assert sum(miniature(name).packaged.stat().st_size for name in miniatures()) <= MOST_BYTES
 
 
 @pytest.mark.parametrize("name", miniatures())
@@ -144,13 +134,12 @@ def test_it_drives_and_looks_at_the_images(town: NuScenesData, name: str) -> Non
 
 @pytest.mark.parametrize("name", miniatures())
 def test_it_says_what_it_is(name: str) -> None:
-    small = miniature(name)
-    driver = build_planner(name)
-    assert driver.name == name and driver.native_protocol == NATIVE[name]  # type: ignore[attr-defined]
-    assert read_provenance(small.packaged).model == name
+    driver, native = build_planner(name), name.removesuffix("-mini")
+    assert driver.name == name and driver.native_protocol == native  # type: ignore[attr-defined]
+    assert read_provenance(miniature(name).packaged).model == name
     facts = planner_factory(name).facts
-    assert facts.miniature and facts.published_as is None and facts.native_protocol == NATIVE[name]
-    assert facts.name == name and facts.weights_sha256 == file_sha256(small.packaged)
+    assert facts.miniature and facts.published_as is None and facts.native_protocol == native
+    assert facts.name == name and facts.weights_sha256 == file_sha256(miniature(name).packaged)
 
 
 @pytest.mark.parametrize("name", miniatures())
@@ -178,59 +167,33 @@ def test_facts_and_card_are_of_this_file(name: str) -> None:
     assert facts["parameters"] <= MOST_PARAMETERS
 
 
-def test_all_together_are_small() -> None:
-    assert sum(miniature(name).packaged.stat().st_size for name in miniatures()) <= MOST_BYTES
-
-
-@pytest.mark.parametrize(
-    ("full", "small"),
-    [
-        ("uniad", "uniad-mini"),
-        ("vad", "vad-mini"),
-        ("vad-tiny", "vad-mini"),
-        ("vad-base", "vad-mini"),
-        ("sparsedrive", "sparsedrive-mini"),
-        ("diffusiondrive", "diffusiondrive-mini"),
-    ],
-)
-def test_it_stands_in_for_the_full_model_on_the_embedded_data_only(full: str, small: str, tmp_path: Path) -> None:
-    assert stand_in(full, None, EMBEDDED) == small
-    assert stand_in(full, None, "nuscenes") == full
-    assert stand_in(full, tmp_path / "weights.pth", EMBEDDED) == full
-    assert stand_in("idm", None, EMBEDDED) == "idm" and stand_in(small, None, EMBEDDED) == small
-
-
-def test_imported_weights_of_the_full_model_go_first(tmp_path: Path) -> None:
-    # What stands in the cache is what counts, not whether it could be loaded.
-    folder = tmp_path / "cache" / "weights"
-    folder.mkdir(parents=True)
+def test_miniatures_stand_in_for_the_full_model_on_the_embedded_data_only(tmp_path: Path) -> None:
+    smaller = {"vad": "vad-mini", "vad-tiny": "vad-mini", "vad-base": "vad-mini", "uniad": "uniad-mini"}
+    smaller |= {name: f"{name}-mini" for name in ("sparsedrive", "diffusiondrive")}
+    for full, small in smaller.items():
+        assert stand_in(full, None, EMBEDDED) == small == stand_in(small, None, EMBEDDED)
+        assert stand_in(full, None, "nuscenes") == full == stand_in(full, tmp_path / "weights.pth", EMBEDDED)
+    assert stand_in("idm", None, EMBEDDED) == "idm"
+    # Imported weights of the full model go first: what stands in the cache counts, not whether it could be loaded.
+    (tmp_path / "cache" / "weights").mkdir(parents=True)
     provenance = read_provenance(miniature("vad-mini").packaged).model_copy(update={"model": "vad-tiny"})
-    write_weights(folder / "vad-x.safetensors", {}, provenance)
+    write_weights(tmp_path / "cache" / "weights" / "vad-x.safetensors", {}, provenance)
     assert stand_in("vad-tiny", None, EMBEDDED) == "vad-tiny"
-
-
-def test_missing_weights_are_a_sentence_that_names_the_miniature() -> None:
-    with pytest.raises(InputError, match=r"there are no weights for vad-tiny; .*--model vad-mini"):
-        resolve_checkpoint("vad-tiny", None)
 
 
 def test_a_miniature_without_its_file_and_with_another_is_a_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("adapters.models.PACKAGED", tmp_path)
-    with pytest.raises(InputError, match="missing in this installation; train them with"):
-        build_native_planner(miniature("vad-mini"))
-    assert stand_in("vad", None, EMBEDDED) == "vad"
-    monkeypatch.undo()
+    with pytest.raises(InputError, match=r"there are no weights for vad-tiny; .*--model vad-mini"):
+        resolve_checkpoint("vad-tiny", None)
     with pytest.raises(InputError, match=r"holds the weights of vad-mini, not of uniad-mini"):
         build_native_planner(miniature("uniad-mini"), miniature("vad-mini").packaged)
     with pytest.raises(InputError, match="'nonsense' is not a miniature; use one of uniad-mini"):
         miniature("nonsense")
-
-
-def test_a_miniature_is_a_value() -> None:
-    small = miniature("vad-mini")
-    assert replace(small, name="other").packaged.name == "other.safetensors"
+    monkeypatch.setattr("adapters.models.PACKAGED", tmp_path)
+    with pytest.raises(InputError, match="missing in this installation; train them with"):
+        build_native_planner(miniature("vad-mini"))
+    assert stand_in("vad", None, EMBEDDED) == "vad"
 
 
 def test_the_command_says_once_which_model_runs(

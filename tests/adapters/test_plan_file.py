@@ -137,14 +137,6 @@ def test_what_excel_writes_is_read(tmp_path: Path, form: dict[str, Any], by_time
     assert np.array_equal(plain.waypoints, excel.waypoints)
 
 
-def test_points_beside_decimal_commas_are_refused(tmp_path: Path) -> None:
-    """1.234 beside 0,25 is a thousand and more, or one and a bit: who knows."""
-    rows = [{**row, "x1": "1.234"} for row in rows_for(town_of_two())]
-    pd.DataFrame(rows).to_csv(tmp_path / "mixed.csv", **EXCEL)
-    with pytest.raises(InputError, match="column x1 has numbers with points, and others have decimal commas"):
-        read_plan_file(tmp_path / "mixed.csv")
-
-
 @pytest.mark.parametrize("by_time", [False, True])
 def test_a_file_for_other_data_says_so_and_for_which(tmp_path: Path, by_time: bool) -> None:
     data = town_of_two()
@@ -159,21 +151,28 @@ def test_a_file_for_other_data_says_so_and_for_which(tmp_path: Path, by_time: bo
 
 
 Rows = list[dict[str, Any]]
+
+
+def without(name: str) -> Callable[[Rows], Rows]:
+    return lambda rows: [{key: value for key, value in row.items() if key != name} for row in rows]
+
+
+def first(**values: Any) -> Callable[[Rows], Rows]:
+    return lambda rows: [{**rows[0], **values}, *rows[1:]]
+
+
 CHANGES: dict[str, tuple[Callable[[Rows], Rows], str]] = {
     "twice": (lambda rows: [*rows, rows[5]], "more than one row"),
-    "no frame": (lambda rows: [{k: v for k, v in row.items() if k != "frame"} for row in rows], "no column frame"),
-    "no key": (lambda rows: [{k: v for k, v in row.items() if k != "sample_token"} for row in rows], "no column scene"),
+    "no frame": (without("frame"), "no column frame"),
+    "no key": (without("sample_token"), "no column scene"),
     "unknown column": (lambda rows: [{**row, "z1": 0.0} for row in rows], "unknown columns z1"),
-    "no last waypoint": (lambda rows: [{k: v for k, v in row.items() if k != "y6"} for row in rows], "no column y6"),
-    "nan": (lambda rows: [{**rows[0], "x3": None}, *rows[1:]], "not finite numbers for sample"),
-    "infinite": (lambda rows: [{**rows[0], "x3": 1e999}, *rows[1:]], "not finite numbers"),
-    "truth": (lambda rows: [{**rows[0], "x3": True}, *rows[1:]], "true or false in column x3|not finite numbers"),
-    "words": (
-        lambda rows: [{**rows[0], "x3": "far"}, *rows[1:]],
-        "not finite numbers|has text .far. in numeric column x3",
-    ),
-    "wrong frame": (lambda rows: [{**rows[0], "frame": "camera"}, *rows[1:]], "unknown frame 'camera'"),
-    "empty token": (lambda rows: [{**rows[0], "sample_token": ""}, *rows[1:]], "without a sample_token"),
+    "no last waypoint": (without("y6"), "no column y6"),
+    "nan": (first(x3=None), "not finite numbers for sample"),
+    "infinite": (first(x3=1e999), "not finite numbers"),
+    "truth": (first(x3=True), "true or false in column x3|not finite numbers"),
+    "words": (first(x3="far"), "not finite numbers|has text .far. in numeric column x3"),
+    "wrong frame": (first(frame="camera"), "unknown frame 'camera'"),
+    "empty token": (first(sample_token=""), "without a sample_token"),
     "no rows": (lambda rows: [], "no rows|no column|cannot be read"),
 }
 
@@ -188,55 +187,42 @@ def test_each_fault_is_one_sentence(tmp_path: Path, case: str, ending: str) -> N
 
 
 def test_files_that_are_no_tables(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no plan file"):
-        read_plan_file(tmp_path / "none.csv")
-    (tmp_path / "plans.txt").write_text("x")
-    with pytest.raises(InputError, match=r"neither \.csv"):
-        read_plan_file(tmp_path / "plans.txt")
-    (tmp_path / "empty.csv").write_text("")
-    with pytest.raises(InputError, match="cannot be read"):
-        read_plan_file(tmp_path / "empty.csv")
-    for text in ('{"a": 1}', "[", "3", '[{"a": {"b": 1}}]', "[[1, 2]]"):
-        (tmp_path / "odd.json").write_text(text)
-        with pytest.raises(InputError):
-            read_plan_file(tmp_path / "odd.json")
-    (tmp_path / "latin.csv").write_bytes(b"sample_token,frame\n\xff\xfe,\x00\n")
-    with pytest.raises(InputError):
-        read_plan_file(tmp_path / "latin.csv")
+    contents = {"plans.txt": b"x", "empty.csv": b"", "latin.csv": b"sample_token,frame\n\xff\xfe,\x00\n"}
+    contents |= {
+        f"{k}.json": text for k, text in enumerate((b'{"a": 1}', b"[", b"3", b'[{"a": {"b": 1}}]', b"[[1, 2]]"))
+    }
+    says = {"none.csv": "no plan file", "plans.txt": r"neither \.csv", "empty.csv": "cannot be read"}
+    for name, content in contents.items():
+        (tmp_path / name).write_bytes(content)
+    for name in ("none.csv", *contents):
+        with pytest.raises(InputError, match=says.get(name, ".")):
+            read_plan_file(tmp_path / name)
 
 
-def test_text_of_digits_is_no_number(tmp_path: Path) -> None:
-    rows = rows_for(town_of_two())
+def test_numbers_that_may_be_meant_otherwise_are_refused(tmp_path: Path) -> None:
+    rows, by_time = rows_for(town_of_two()), rows_for(town_of_two(), by_time=True)
     rows[3]["x2"] = str(rows[3]["x2"])
     with pytest.raises(InputError, match=r"row 3 has text .* in numeric column x2"):
-        read_plan_file(write(tmp_path / "plans.json", rows))
-
-
-def test_times_are_whole_microseconds(tmp_path: Path) -> None:
-    rows = rows_for(town_of_two(), by_time=True)
-    rows[0]["timestamp"] += 0.5
+        read_plan_file(write(tmp_path / "digits.json", rows))
+    by_time[0]["timestamp"] += 0.5
     with pytest.raises(InputError, match="not whole microseconds"):
-        read_plan_file(write(tmp_path / "plans.csv", rows))
-
-
-def test_lidar_plans_stay_lidar_plans(tmp_path: Path) -> None:
-    rows = [{**row, "frame": "lidar"} for row in rows_for(town_of_two())]
-    assert set(read_plan_file(write(tmp_path / "plans.csv", rows)).frames) == {PlanFrame.LIDAR}
+        read_plan_file(write(tmp_path / "half.csv", by_time))
+    # 1.234 beside 0,25 is a thousand and more, or one and a bit.
+    pd.DataFrame([{**row, "x1": "1.234"} for row in rows_for(town_of_two())]).to_csv(tmp_path / "mixed.csv", **EXCEL)
+    with pytest.raises(InputError, match="column x1 has numbers with points, and others have decimal commas"):
+        read_plan_file(tmp_path / "mixed.csv")
+    lidar = [{**row, "frame": "lidar"} for row in rows_for(town_of_two())]
+    assert set(read_plan_file(write(tmp_path / "lidar.csv", lidar)).frames) == {PlanFrame.LIDAR}
 
 
 def test_a_file_of_longer_plans(tmp_path: Path) -> None:
-    data = town_of_two()
-    rows = rows_for(data)
-    for one in rows:
-        one.update({f"{axis}{step}": 4.0 * step if axis == "x" else 0.25 for step in range(7, 13) for axis in "xy"})
+    data, far = town_of_two(), {f"{axis}{step}": 4.0 * step * (axis == "x") for step in range(7, 13) for axis in "xy"}
+    rows = [{**row, **far} for row in rows_for(data)]
     record = evaluate(data, "val", plan_file_factory(write(tmp_path / "far.csv", rows), data, "val"), tmp_path / "out")
     assert all(row.plan is not None and len(row.plan.waypoints) == 12 for row in record.rows)
-    del rows[0]["y9"]
-    for one in rows[1:]:
-        del one["y9"]
-    with pytest.raises(InputError, match="has no column y9"):
-        read_plan_file(write(tmp_path / "gap.csv", rows))
-    for one in rows:
-        one.update({"y9": 0.25, "x17": 1.0})
-    with pytest.raises(InputError, match="unknown columns x17"):
-        read_plan_file(write(tmp_path / "too-far.csv", rows))
+    for name, change, says in (
+        ("gap.csv", without("y9"), "has no column y9"),
+        ("far.csv", lambda rows: [{**row, "x17": 1.0} for row in rows], "unknown columns x17"),
+    ):
+        with pytest.raises(InputError, match=says):
+            read_plan_file(write(tmp_path / name, change(rows)))

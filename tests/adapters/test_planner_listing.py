@@ -9,17 +9,16 @@ from typer.testing import CliRunner
 
 from adapters.checkpoints.cache import Provenance, write_weights
 from adapters.models import MODELS, miniatures, published_models
-from adapters.planner_listing import PlannerListing, known_planners, planners_table, planners_text
+from adapters.planner_listing import known_planners, planners_table, planners_text
 from benchmark.cli.app import app
 from benchmark.report.cells import RANKS_NOTHING
 
 
-def by_name(cache: Path, **options: object) -> dict[str, PlannerListing]:
-    return {each.name: each for each in known_planners(cache, {})}
-
-
 def test_every_planner_is_there_and_says_what_it_needs(tmp_path: Path) -> None:
-    found = by_name(tmp_path)
+    point = EntryPoint("theirs", "their_package.planner:Theirs", "challenger_bench.adapters")
+    *own, last = known_planners(tmp_path, {"theirs": point})
+    assert last.name == "theirs" and "their_package.planner:Theirs" in planners_table((*own, last)).markdown()
+    found = {each.name: each for each in own}
     assert set(found) == {model.name for model in MODELS.values()}
     assert all(each.sees and each.gpu for each in found.values())
     for name in miniatures():
@@ -32,15 +31,11 @@ def test_every_planner_is_there_and_says_what_it_needs(tmp_path: Path) -> None:
 def test_what_is_missing_is_told_with_how_to_get_it_in_80_columns(tmp_path: Path) -> None:
     text = planners_text(known_planners(tmp_path, {}), 80)
     assert all(len(line) <= 80 for line in text.splitlines())
-    for name in published_models():
-        assert f"challenger-bench weights fetch {name}" in text
+    assert all(f"challenger-bench weights fetch {name}" in text for name in published_models())
     words = " ".join(text.split())
     assert "VAD_tiny.pth" in text and "--anchors motion_anchor_infos_mode6.pkl" in words
     assert "licence: not stated for the weights; code MIT" in words
     assert f"{RANKS_NOTHING}" in words and "vad is short for vad-base" in words
-
-
-def test_imported_weights_are_no_longer_missing(tmp_path: Path) -> None:
     provenance = Provenance(
         model="vad-tiny",
         source="VAD_tiny.pth",
@@ -52,16 +47,10 @@ def test_imported_weights_are_no_longer_missing(tmp_path: Path) -> None:
         tool="0",
     )
     write_weights(tmp_path / "vad-tiny.safetensors", {}, provenance)
-    assert by_name(tmp_path)["vad-tiny"].weights == "imported"
-    text = planners_text(known_planners(tmp_path, {}), 80)
+    found = known_planners(tmp_path, {})
+    assert next(each.weights for each in found if each.name == "vad-tiny") == "imported"
+    text = planners_text(found, 80)
     assert "weights fetch vad-tiny" not in text and "weights fetch vad-base" in text
-
-
-def test_planners_of_other_packages_are_named_with_where_they_are_from(tmp_path: Path) -> None:
-    point = EntryPoint("theirs", "their_package.planner:Theirs", "challenger_bench.adapters")
-    found = known_planners(tmp_path, {"theirs": point})
-    assert found[-1].name == "theirs"
-    assert "their_package.planner:Theirs" in planners_table(found).markdown()
 
 
 def test_the_command_prints_it_and_json_has_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

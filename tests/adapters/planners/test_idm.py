@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from adapters.planners.idm import IntelligentDriver
 from benchmark.dynamics.idm import DriverParameters
-from benchmark.dynamics.lane_path import LanePath, build_lane_path, find_nearest_lane
-from benchmark.geometry import Floats, boxes_overlap
+from benchmark.dynamics.lane_path import build_lane_path, find_nearest_lane
+from benchmark.geometry import Floats
 from benchmark.planning import Command, Plan, SceneInfo
 from benchmark.protocols.exact import ExactProtocol
 from benchmark.road_map import Lane, RoadMap
@@ -32,16 +32,17 @@ def hits(scene: Scene, index: int) -> bool:
     return bool(ExactProtocol().evaluate([sample_truth(scene, index)], plans).collision.any())
 
 
-def test_on_a_free_road_it_speeds_up_to_the_limit() -> None:
-    ahead = planned(scene_on_straight_road((), ego_speed=8.0), 5).waypoints
-    speed = np.diff(ahead[:, 0], prepend=0.0) / 0.5
+def test_on_a_free_road_it_speeds_up_to_the_limit_and_keeps_what_is_above_it() -> None:
+    plan = planned(scene_on_straight_road((), ego_speed=8.0), 5)
+    speed = np.diff(plan.waypoints[:, 0], prepend=0.0) / 0.5
     assert (np.diff(speed) > 0).all() and speed[-1] < DriverParameters().speed_limit
-    assert np.abs(ahead[:, 1]).max() < 0.01
-
-
-def test_a_car_that_is_faster_than_the_limit_keeps_its_speed() -> None:
+    assert np.abs(plan.waypoints[:, 1]).max() < 0.01
+    assert plan.forecasts is not None and plan.forecasts.boxes.shape == (0, 5)
+    assert plan.forecasts.trajectories.shape == (0, 1, 6, 2) and plan.forecasts.scores.shape == (0, 1)
     ahead = planned(scene_on_straight_road((), ego_speed=18.0), 5).waypoints
     assert np.diff(ahead[:, 0], prepend=0.0) / 0.5 == pytest.approx(18.0, abs=0.1)
+    with pytest.raises(RuntimeError, match="reveal"):
+        IntelligentDriver().plan(observation(scene_on_straight_road(), 0, {}))
 
 
 @pytest.mark.parametrize("category", ["vehicle.car", "human.pedestrian.adult", "movable_object.barrier"])
@@ -64,16 +65,12 @@ def test_it_never_runs_into_a_leader_that_it_can_stop_for(gap: float, ego_speed:
         assert not hits(scene, index)
 
 
-def test_cars_beside_and_behind_do_not_matter() -> None:
-    free = planned(scene_on_straight_road((), ego_speed=8.0), 4).waypoints
-    beside = scene_on_straight_road((Car(56.0, 194.75, 8.0), Car(38.0, 198.25, 9.0)), ego_speed=8.0)
-    assert planned(beside, 4).waypoints == pytest.approx(free)
-
-
-def test_it_brakes_for_a_car_that_cuts_in() -> None:
-    cutting_in = Car(66.0, 195.0, 8.0, yaw=0.35)
-    free = planned(scene_on_straight_road((), ego_speed=8.0), 1).waypoints
-    assert planned(scene_on_straight_road((cutting_in,), ego_speed=8.0), 1).waypoints[5, 0] < free[5, 0] - 0.5
+def test_cars_beside_and_behind_do_not_matter_until_they_cut_in() -> None:
+    free, beside, cutting_in = (
+        planned(scene_on_straight_road(cars, ego_speed=8.0), 1).waypoints
+        for cars in ((), (Car(56.0, 194.75, 8.0), Car(38.0, 198.25, 9.0)), (Car(66.0, 195.0, 8.0, yaw=0.35),))
+    )
+    assert beside == pytest.approx(free) and cutting_in[5, 0] < free[5, 0] - 0.5
 
 
 def test_beside_its_lane_it_returns_to_the_middle() -> None:
@@ -114,8 +111,12 @@ BUSY = (
 
 
 def test_its_forecasts_are_what_it_plans_by() -> None:
-    forecasts = planned(scene_on_straight_road(BUSY, ego_speed=9.0), 4).forecasts
-    assert forecasts is not None
+    plan = planned(scene_on_straight_road(BUSY, ego_speed=9.0), 4)
+    # As it was before there were forecasts.
+    before = [4.315527310005109, 8.320637442056494, 12.02350628019623, 14.609099980353776]
+    assert plan.waypoints[:, 0] == pytest.approx([*before, 16.485110332335722, 18.57467409833096], abs=1e-9)
+    assert not plan.waypoints[:, 1].any() and plan.forecasts is not None
+    forecasts = plan.forecasts
     assert forecasts.boxes[:, :2] == pytest.approx(
         np.array([[24.0, 0.0], [13.681, -0.071], [22.0, 6.75], [34.0, 3.5], [-6.0, 0.0]])
     )
@@ -129,24 +130,6 @@ def test_its_forecasts_are_what_it_plans_by() -> None:
     assert crossing[:, 1] == pytest.approx(6.75 - 5.0 * seconds) and crossing[:, 0] == pytest.approx(22.0)
     assert oncoming[:, 0] == pytest.approx(34.0 - 9.0 * seconds) and oncoming[:, 1] == pytest.approx(3.5)
     assert follower[:, 0] == pytest.approx(-6.0 + 12.0 * seconds)
-
-
-def test_forecasts_change_nothing_in_the_plan() -> None:
-    """The waypoints are those of the version before there were forecasts."""
-    plan = planned(scene_on_straight_road(BUSY, ego_speed=9.0), 4)
-    before = [4.315527310005109, 8.320637442056494, 12.02350628019623, 14.609099980353776]
-    assert plan.waypoints[:, 0] == pytest.approx([*before, 16.485110332335722, 18.57467409833096], abs=1e-9)
-    assert not plan.waypoints[:, 1].any()
-
-
-def test_alone_it_forecasts_nobody() -> None:
-    forecasts = planned(scene_on_straight_road(()), 2).forecasts
-    assert forecasts is not None
-    assert (forecasts.boxes.shape, forecasts.trajectories.shape, forecasts.scores.shape) == (
-        (0, 5),
-        (0, 1, 6, 2),
-        (0, 1),
-    )
 
 
 def test_its_forecasts_are_in_the_frame_of_its_plan() -> None:
@@ -197,26 +180,6 @@ def test_lanes_the_other_way_are_not_followed() -> None:
     assert east is not None and west is not None
     assert (east.identifier, west.identifier) == ("east-0", "west-0")
     assert find_nearest_lane(road, np.array([100.0, 198.25, np.pi / 2])) is None
-
-
-def test_a_path_projects_points_back() -> None:
-    angle = np.linspace(0.0, 1.5, 60)
-    path = LanePath.through(30.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)]))
-    along, left = path.project(path.at(np.array([5.0, 20.0])) + 1e-9)
-    assert along == pytest.approx([5.0, 20.0], abs=0.05) and left == pytest.approx(0.0, abs=0.05)
-    assert path.curvature[10:-10] == pytest.approx(1 / 30, rel=0.1)
-    with pytest.raises(ValueError, match="two different points"):
-        LanePath.through(np.zeros((3, 2)))
-
-
-def test_planning_before_a_scene_is_revealed_is_an_error() -> None:
-    with pytest.raises(RuntimeError, match="reveal"):
-        IntelligentDriver().plan(observation(scene_on_straight_road(), 0, {}))
-
-
-def test_recorded_boxes_do_not_overlap_the_ego() -> None:
-    scene = scene_on_straight_road()
-    assert not boxes_overlap(scene.ego.boxes, scene.agents.boxes).any()
 
 
 def test_where_the_mapped_lane_ends_it_drives_on() -> None:

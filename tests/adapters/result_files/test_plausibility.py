@@ -50,16 +50,9 @@ def test_bad_planners_pass(planner: str) -> None:
     plans = np.array([PLANNERS[planner](row) for row in ROWS.tolist()])
     said = require_plausible(PATH, plans, ROWS, SAMPLES).measured
     assert set(said) == set(TESTS)
-
-
-def test_a_planner_that_stands_is_said_to_show_little() -> None:
-    said = require_plausible(PATH, np.zeros((len(ROWS), 6, 2)), ROWS, SAMPLES).measured
-    assert said["offsets"] == f"not testable (0 of {FEWEST} samples)"
-
-
-def test_below_the_counts_nothing_is_tested() -> None:
-    moving = ROWS[: FEWEST - 1]
-    said = require_plausible(PATH, 100.0 * SAMPLES.future[moving], moving, SAMPLES).measured
+    assert planner != "stands" or said["offsets"] == f"not testable (0 of {FEWEST} samples)"
+    few = ROWS[: FEWEST - 1]
+    said = require_plausible(PATH, 100.0 * SAMPLES.future[few], few, SAMPLES).measured
     assert all(text.startswith("not testable") for text in said.values())
 
 

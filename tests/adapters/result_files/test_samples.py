@@ -3,9 +3,8 @@
 import dataclasses
 
 import numpy as np
-import pytest
 
-from adapters.result_files.samples import RecordedSamples, read_recorded_samples
+from adapters.result_files.samples import read_recorded_samples
 from adapters.result_files.synthetic import make_synthetic_samples
 from benchmark.geometry import rotation_matrix
 from benchmark.planning import Command
@@ -52,16 +51,11 @@ def test_on_a_slope_the_way_is_that_of_the_lidar_in_space() -> None:
     assert np.allclose(samples.future[0, :, 0], level.future[0, :, 0])
 
 
-@pytest.fixture(scope="module")
-def at_the_border() -> RecordedSamples:
+def test_near_the_border_of_commands_either_may_have_been_stored() -> None:
     samples = make_synthetic_samples()
     future = np.zeros_like(samples.future)
     future[:4, -1, 0] = (1.97, 2.03, -1.97, 1.9)
-    valid = np.ones_like(samples.valid)
-    return dataclasses.replace(samples, future=future, valid=valid)
-
-
-def test_near_the_border_of_commands_either_may_have_been_stored(at_the_border: RecordedSamples) -> None:
+    samples = dataclasses.replace(samples, future=future, valid=np.ones_like(samples.valid))
     right, left, straight = Command.RIGHT, Command.LEFT, Command.STRAIGHT
-    allowed = [{each for each in Command if at_the_border.may_have_command(row, each)} for row in range(5)]
+    allowed = [{each for each in Command if samples.may_have_command(row, each)} for row in range(5)]
     assert allowed == [{right, straight}, {right, straight}, {left, straight}, {straight}, {straight}]
