@@ -23,20 +23,12 @@ PLANS = [1, 3, 4]
 def write(folder: Path, case: str = "scene-crossing") -> Path:
     """Write inputs and official verdicts of a scene."""
     folder.mkdir(parents=True, exist_ok=True)
-    arrays = first_samples(load(BUILT_IN / f"{case}.npz"))
+    arrays = load(BUILT_IN / f"{case}.npz")
     path = folder / f"{case}.npz"
     np.savez_compressed(path, **inputs_of(arrays))
     np.savez_compressed(path.with_stem(f"{case}_official"), empty=np.zeros(1))
     np.savez_compressed(path.with_stem(f"{case}_official"), **official(read_golden_scene(path)))
     return folder
-
-
-def first_samples(arrays: Arrays) -> Arrays:
-    """The first seven samples, of which five have a whole future: slow versions are slow."""
-    offset = arrays["obj_offset"]
-    kept = {len(offset): 8, len(offset) - 1: 7, int(offset[-1]): int(offset[7])}
-    by_sample = {name: values[: kept.get(len(values))] for name, values in arrays.items()}
-    return by_sample | {name: arrays[name] for name in ("class_names", "instance_names", "plan_names")}
 
 
 def inputs_of(arrays: Arrays) -> Arrays:
