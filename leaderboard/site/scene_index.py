@@ -56,8 +56,8 @@ def build_scene_index(
             "tables": [table_entry(table, table.name) for table in tables if table is not None],
         }
     for entry in entries.values():
-        for name in ("source", "description", "labels", "seconds", "quality"):
-            del entry[name]
+        for member in ("source", "description", "labels", "seconds", "quality"):
+            del entry[member]
     return list(entries.values())
 
 

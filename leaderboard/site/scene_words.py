@@ -218,7 +218,12 @@ def _list_judgement_facts(said: AssessmentSummary, split: str) -> list[list[Any]
         ("PET", said.pet_s, 1, "s"),
         ("BTN", said.max_btn, 2, ""),
     )
-    facts.append(["recorded ego", [[", ".join(f"{name} {_format_amount(*amount)}" for name, *amount in ego)]]])
+    facts.append(
+        [
+            "recorded ego",
+            [[", ".join(f"{name} {_format_amount(value, digits, unit)}" for name, value, digits, unit in ego)]],
+        ]
+    )
     faults, unknown = (", ".join(names).replace("_", " ") for names in (said.faults, said.unknown_faults))
     facts.append(["adversary's faults", [[faults or "none"], *([[f"not known: {unknown}"]] if unknown else [])]])
     return facts
