@@ -32,8 +32,11 @@ def driving(source: Path, out: Path, *more: str) -> Done:
 
 
 @pytest.mark.parametrize(("planner", "reason"), [("Failing", "raised"), ("Poisoned", "unusable plan")])
-def test_who_fails_is_counted_and_scored_nowhere(source: Path, tmp_path: Path, planner: str, reason: str) -> None:
-    models = ("--model", f"tests.benchmark.planners:{planner}", "--model", "stop", "--no-baselines", "--json")
+def test_who_fails_is_counted_and_scored_nowhere(
+    source: Path, tmp_path: Path, planner: str, reason: str, engine: str = "default"
+) -> None:
+    failing = ("--model", f"tests.benchmark.planners:{planner}", "--engine", engine)
+    models = (*failing, "--model", "stop", "--no-baselines", "--json")
     done = driving(source, tmp_path, *models)
     failed, sound = json.loads(done.out)
     assert done.code == 1 and f"failed in 1 of 1 drive (1 {reason}" in done.err

@@ -23,9 +23,9 @@ from generation.splits.unpacking import read_split_package, write_package_files
 from tests.benchmark.cli.in_process import run_here
 from tests.benchmark.extensions.challenge.forgeries import FORGERIES
 from tests.benchmark.extensions.challenge.small_entries import LEADER, Forged
+from tests.documentation.lines_of_code import ROOT, typed_lines
 from tests.generation.splits.frozen_files import drifting_split, recordings
 from tests.generation.splits.test_packing import HERE, PLAIN, changed, replaced
-from tests.test_pages import ROOT, command_lines
 
 
 @pytest.mark.path
@@ -112,7 +112,7 @@ def test_a_page_shows_what_strangers_wrote_as_text() -> None:
     assert {tag: opened.count(tag) for tag in opened} == {tag: text.count(f"</{tag}>") for tag in opened}
 
 
-PAGE = (ROOT / "docs" / "extensions" / "challenge.md").read_text()
+PAGE = ROOT / "docs" / "extensions" / "challenge.md"
 
 
 def test_every_command_of_the_page_runs(entry: Path, base: DataSet, tmp_path: Path) -> None:
@@ -124,7 +124,8 @@ def test_every_command_of_the_page_runs(entry: Path, base: DataSet, tmp_path: Pa
     stand_ins = dict.fromkeys(("ENTRY", "ENTRY_A"), str(entry)) | {"uniad": "constant-velocity", "vad": "stop"}
     places = {"ENTRY_B": another.root, "/data/nuscenes": base.root, "rules.toml": tmp_path / "rules.toml"}
     stand_ins |= {word: str(path) for word, path in places.items()}
-    lines = [[stand_ins.get(word, word) for word in line] for line in command_lines(PAGE)]
+    typed = [line.text.split()[1:] for line in typed_lines(PAGE) if line.text.startswith("challenger-bench ")]
+    lines = [[stand_ins.get(word, word) for word in line] for line in typed]
     assert [line[1] if line[0] == "challenge" else line[0] for line in lines] == [
         "rules",
         "check",
@@ -141,7 +142,7 @@ def test_every_command_of_the_page_runs(entry: Path, base: DataSet, tmp_path: Pa
 
 
 def test_rules_and_figures_of_the_page_are_those_of_the_program(tmp_path: Path) -> None:
-    (tmp_path / "rules.toml").write_text(PAGE.partition("```toml\n")[2].partition("```")[0])
+    (tmp_path / "rules.toml").write_text(PAGE.read_text().partition("```toml\n")[2].partition("```")[0])
     assert read_rules(tmp_path / "rules.toml").scenes.required == ("scene-0061", "scene-0553")
     assert f"{len({forgery.name for forgery in FORGERIES})} of them" in PAGE
     for name, column in (("default", 1), ("strict", 2)):

@@ -80,8 +80,8 @@ def test_the_command_prints_a_table_of_its_own(tmp_path: Path) -> None:
 
 
 def test_who_fails_is_counted_and_scored_nowhere(tmp_path: Path) -> None:
-    trouble = ("Poisoned", "neuroncap@code", "unusable plan")
     source = any_command.road(tmp_path / "road")
+    trouble = ("Poisoned", "unusable plan", "neuroncap@code")
     any_command.test_who_fails_is_counted_and_scored_nowhere(source, tmp_path / "out", *trouble)
 
 

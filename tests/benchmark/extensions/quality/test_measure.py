@@ -385,7 +385,7 @@ def test_the_command_takes_shards_and_finishes(root: Path, networks: Path, tmp_p
 
 
 def test_adversarial_scenes_are_never_val(tmp_path: Path) -> None:
-    road = any_command.write_road(tmp_path / "road")
+    road = write_split(tmp_path / "road", [short_scene()], version=any_command.VERSION, renderer=None).root
     any_command.test_adversarial_scenes_are_never_val(road, tmp_path, ("quality", "--masks", "boxes"), "--split")
 
 

@@ -22,7 +22,8 @@ from tests.benchmark.closed_loop.staged import Watching
 from tests.benchmark.fake_data import FakeData
 from tests.benchmark.planners import Failing, Straight
 from tests.benchmark.records.test_drives import written as written_drives
-from tests.benchmark.runs.test_episode_pages import Clock, driven, town
+from tests.benchmark.runs.test_driving import town
+from tests.benchmark.runs.test_episode_pages import Clock, driven
 from tests.generation.extensions.reactive_adversary.loops import SETTINGS as ADVERSARY_SETTINGS
 from tests.generation.extensions.reactive_adversary.loops import rides
 from tests.hand_made import Car, scene_on_straight_road
