@@ -142,12 +142,13 @@ def test_every_command_of_the_page_runs(entry: Path, base: DataSet, tmp_path: Pa
 
 
 def test_rules_and_figures_of_the_page_are_those_of_the_program(tmp_path: Path) -> None:
-    (tmp_path / "rules.toml").write_text(PAGE.read_text().read_text().partition("```toml\n")[2].partition("```")[0])
+    text = PAGE.read_text()
+    (tmp_path / "rules.toml").write_text(text.partition("```toml\n")[2].partition("```")[0])
     assert read_rules(tmp_path / "rules.toml").scenes.required == ("scene-0061", "scene-0553")
-    assert f"{len({forgery.name for forgery in FORGERIES})} of them" in PAGE.read_text()
+    assert f"{len({forgery.name for forgery in FORGERIES})} of them" in text
     for name, column in (("default", 1), ("strict", 2)):
         motion = RULE_SETS[name].motion
-        said = next(line for line in PAGE.read_text().splitlines() if "lateral_m_s2" in line).split("|")[column + 1].strip()
+        said = next(line for line in text.splitlines() if "lateral_m_s2" in line).split("|")[column + 1].strip()
         assert said == f"{motion.acceleration_m_s2:g}, {motion.braking_m_s2:g}, {motion.lateral_m_s2:g}"
 
 
