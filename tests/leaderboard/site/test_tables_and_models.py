@@ -37,9 +37,7 @@ def sortable(browser: Browser) -> tuple[WebElement, int]:
     """A table and the numeric column of it with most different numbers, some of them of other lengths than others."""
     best: tuple[int, WebElement, int] | None = None
     for table in browser.driver.find_elements(By.CSS_SELECTOR, '[data-testid^="table-"]'):
-        heads = browser.js(
-            "return [...[...arguments[0].tHead.rows].at(-1).cells].map((cell) => cell.innerText);", table
-        )
+        heads = browser.js("return [...arguments[0].tHead.rows].at(-1).cells.length;", table)
         for column in range(1, heads):
             texts = cells(browser, table, column)
             found = [text for text in texts if NUMBER.fullmatch(text)]
