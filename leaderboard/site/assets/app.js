@@ -119,13 +119,15 @@ function choice({ label, value, choices, testid, change }) {
   return element("label", { class: "field" }, element("span", {}, label), select);
 }
 
+/** A list whose choice stands in the address. @param {Route} here @param {string} label @param {string} name
+ * @param {(string|[string, string])[]} choices @param {() => void} again Shows what is chosen. */
+const placedChoice = (here, label, name, choices, again) => choice({ label, value: here.params.get(name) ?? "", choices,
+  testid: `filter-${name}`, change: (value) => { remember(here, { [name]: value }); again(); } });
+
 /** A list that shows the page again with what is chosen; nothing where there is no choice.
  * @param {Route} here @param {string} label @param {string} name @param {string[]} values */
-function pageChoice(here, label, name, values) {
-  if (values.length < 2) return null;
-  return choice({ label, value: asked(here, name, values), choices: values, testid: `filter-${name}`,
-    change: (value) => { remember(here, { [name]: value }); show(); } });
-}
+const pageChoice = (here, label, name, values) => (values.length < 2 ? null
+  : placedChoice(here, label, name, values, show));
 
 /** A field to filter by; `/` leads to it.
  * @param {Route} here @param {string} label @param {(text: string) => void} change */

@@ -28,10 +28,8 @@ function filtersOf(here, filters, fits, refresh) {
   for (const { name, choices } of used) asked(here, name, choices.map((each) => (Array.isArray(each) ? each[0] : each)));
   const shown = used.filter(({ name, choices }) => name !== "data" || choices.length > 1);
   return {
-    controls: shown.map(({ name, label, any, choices }) => choice({
-      label, value: here.params.get(name) ?? "", testid: `filter-${name}`, choices: [["", any], ...choices],
-      change: (value) => { remember(here, { [name]: value }); refresh(); },
-    })),
+    controls: shown.map(({ name, label, any, choices }) =>
+      placedChoice(here, label, name, [["", any], ...choices], refresh)),
     fitting: (items) => items.filter((item) => filters.every(({ name }) => {
       const value = here.params.get(name);
       return !value || fits(item, name, value);
@@ -120,9 +118,6 @@ pages.scenes = (here) => {
     stop();
     stop = putInSlices(cards, found.map(({ scene }) => () => sceneCard(scene, protocol(), model)));
   }
-  /** @param {string} name @param {string} label @param {string} testid @param {(string|[string, string])[]} choices */
-  const control = (name, label, testid, choices) => choice({ label, testid, choices, value: here.params.get(name) ?? "",
-    change: (value) => { remember(here, { [name]: value }); refresh(); } });
   asked(here, "protocol", protocols);
   refresh();
   const signs = Object.values(scenes.some((scene) => scene.manoeuvre) ? { X: legend.X, a: legend.a, o: legend.o }
@@ -133,8 +128,8 @@ pages.scenes = (here) => {
       element("h1", {}, "Scenes"),
       element("div", { class: "toolbar" },
         filterField(here, "Scenes with", refresh), list.controls,
-        protocols.length > 1 ? control("protocol", "Protocol", "filter-protocol", protocols) : null,
-        control("sort", "Order", "sort-scenes", sceneOrders)),
+        protocols.length > 1 ? placedChoice(here, "Protocol", "protocol", protocols, refresh) : null,
+        placedChoice(here, "Order", "sort", sceneOrders, refresh)),
       element("div", { class: "count-line" }, count, element("p", { class: "legend" },
         signs.map(([sign, kind, words]) => [element("span", { class: kind }, sign), ` ${words}  `]),
         element("span", { class: "open" }, UNDEFINED), " cannot be said; one mark a planner")),

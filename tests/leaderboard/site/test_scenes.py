@@ -259,14 +259,6 @@ def test_the_thumbnail_shows_the_closest_approach(site: Site) -> None:
     assert draw_thumbnail(sheet) == draw_thumbnail(sheet)
 
 
-def test_same_records_same_bytes_in_any_order(site: Site, files: Mapping[str, bytes | Path]) -> None:
-    again = build_scene_files(
-        replace(site.sheets, scenes=dict(list(site.sheets.scenes.items())[::-1])), site.records[::-1]
-    )
-    assert again == files
-    assert list(again) == list(files)
-
-
 def test_scripts_are_small_and_hold_no_markup(site: Site, files: Mapping[str, bytes | Path]) -> None:
     for path, content in files.items():
         if path.startswith("data/"):

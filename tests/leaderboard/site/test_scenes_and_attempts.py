@@ -144,7 +144,7 @@ def test_a_scene_page_says_who_survives_it_and_how_severe_it_is(browser: Browser
     browser.one("table-severity")
     facts = browser.js("return document.querySelector('dl.facts').innerText;")
     assert "not survived by" in facts and "careful human" in facts and "off road" in facts
-    assert "+1.3 s from when somebody could have reacted" in facts
+    assert "+1.2 s from when somebody could have reacted" in facts
 
 
 def test_text_filter_finds_names_of_any_script(browser: Browser, site: Site) -> None:
