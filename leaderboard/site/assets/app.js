@@ -19,12 +19,11 @@ const site = () => window.CHALLENGER;
  * out. @param {any[]} children Nodes, texts, nested lists; null, undefined and false are left out. @returns {T} */
 function fill(node, attributes, children) {
   for (const [name, value] of Object.entries(attributes)) {
-    if (value === null || value === undefined || value === false) continue;
+    if ((value ?? false) === false) continue;
     if (typeof value === "function") node.addEventListener(name.slice(2), value);
     else node.setAttribute(name, value === true ? "" : String(value));
   }
-  const kept = children.flat(Infinity).filter((child) => child !== null && child !== undefined && child !== false);
-  node.append(...kept.map((child) => (child instanceof Node ? child : String(child))));
+  node.append(...children.flat(Infinity).filter((child) => (child ?? false) !== false));
   return node;
 }
 
@@ -63,43 +62,37 @@ function picture({ light, dark, alt, width = null, height = null }) {
 }
 
 // --- addresses ---------------------------------------------------------------------------------------------------------
-/** @param {string[]} parts @param {Record<string, any>|URLSearchParams} [params] @returns {string} Address in this site. */
+/** @param {URLSearchParams} query @param {Record<string, any>} changes Values or lists; empty ones leave nothing. */
+function changeQuery(query, changes) {
+  for (const [name, value] of Object.entries(changes)) {
+    query.delete(name);
+    for (const each of [value].flat()) if ((each ?? "") !== "") query.append(name, String(each));
+  }
+  return query;
+}
+
+/** @param {string[]} parts @param {Record<string, any>} [params] @returns {string} Address in this site. */
 function address(parts, params = {}) {
-  const pairs = params instanceof URLSearchParams ? [...params] : Object.entries(params).flatMap(([name, value]) =>
-    (Array.isArray(value) ? value : [value]).map((each) => [name, each]));
-  const query = pairs
-    .filter(([, value]) => value !== null && value !== undefined && value !== "")
-    .map(([name, value]) => `${encodeURIComponent(name)}=${encodeURIComponent(value)}`)
-    .join("&");
-  return `#/${parts.map(encodeURIComponent).join("/")}${query ? `?${query}` : ""}`;
+  const query = String(params instanceof URLSearchParams ? params : changeQuery(new URLSearchParams(), params));
+  return `#/${parts.map(encodeURIComponent).join("/")}${query && `?${query}`}`;
 }
 
 /** @param {string} hash @returns {Route} */
 function route(hash) {
-  const text = hash.replace(/^#\/?/, "");
-  const [path, ...query] = text.split("?");
+  const [path, ...query] = hash.replace(/^#\/?/, "").split("?");
   try {
-    const parts = path.split("/").filter(Boolean).map(decodeURIComponent);
-    return { parts, params: new URLSearchParams(query.join("?")) };
+    return { parts: path.split("/").filter(Boolean).map(decodeURIComponent), params: new URLSearchParams(query.join("?")) };
   } catch {
     throw new AddressError("This address is damaged: it has a % that stands for nothing.");
   }
 }
 
-/** Writes the state of a page into the address, so that the address leads back to it.
- * @param {Route} here @param {Record<string, any>} changes */
+/** Writes the state of a page into its address. @param {Route} here @param {Record<string, any>} changes */
 function remember(here, changes) {
-  for (const [name, value] of Object.entries(changes)) {
-    here.params.delete(name);
-    for (const each of Array.isArray(value) ? value : [value]) {
-      if (each !== null && each !== undefined && each !== "") here.params.append(name, String(each));
-    }
-  }
-  history.replaceState(null, "", address(here.parts, here.params));
+  history.replaceState(null, "", address(here.parts, changeQuery(here.params, changes)));
 }
 
-/** What an address asks for, or the first that there is; what is not there is refused, because a list would show
- * something else than the address says.
+/** What an address asks for, or the first that there is; what is not there is refused.
  * @param {Route} here @param {string} name @param {string[]} values @returns {string} */
 function asked(here, name, values) {
   const value = here.params.get(name);
@@ -108,26 +101,27 @@ function asked(here, name, values) {
 }
 
 // --- controls ----------------------------------------------------------------------------------------------------------
-/** A list to choose from. @param {{label: string, value: string, choices: (string|[string, string])[], testid?:
- * string, change: (value: string) => void}} of Choices are values, or values with what is shown. */
-function choice({ label, value, choices, testid, change }) {
-  const options = choices.map((each) => {
-    const [name, shown] = Array.isArray(each) ? each : [each, each];
-    return element("option", { value: name, selected: name === value }, shown);
-  });
-  const select = element("select", { "data-testid": testid, onchange: () => change(select.value) }, options);
-  return element("label", { class: "field" }, element("span", {}, label), select);
+/** A list to choose from. @param {(string|[string, string])[]} choices Values, or values with what is shown.
+ * @param {string} value @param {(value: string) => void} change @param {Record<string, any>} attributes */
+function selectOf(choices, value, change, attributes) {
+  const options = choices.map((each) => [each].flat()).map(([name, shown = name]) =>
+    element("option", { value: name, selected: name === value }, shown));
+  const select = element("select", { ...attributes, onchange: () => change(select.value) }, options);
+  return select;
 }
+
+/** @param {string} label @param {HTMLElement} control @param {string} [kind] */
+const field = (label, control, kind = "field") => element("label", { class: kind }, element("span", {}, label), control);
 
 /** A list whose choice stands in the address. @param {Route} here @param {string} label @param {string} name
  * @param {(string|[string, string])[]} choices @param {() => void} again Shows what is chosen. */
-const placedChoice = (here, label, name, choices, again) => choice({ label, value: here.params.get(name) ?? "", choices,
-  testid: `filter-${name}`, change: (value) => { remember(here, { [name]: value }); again(); } });
+const placedChoice = (here, label, name, choices, again) => field(label, selectOf(choices, here.params.get(name) ?? "",
+  (value) => { remember(here, { [name]: value }); again(); }, { "data-testid": `filter-${name}` }));
 
 /** A list that shows the page again with what is chosen; nothing where there is no choice.
  * @param {Route} here @param {string} label @param {string} name @param {string[]} values */
-const pageChoice = (here, label, name, values) => (values.length < 2 ? null
-  : placedChoice(here, label, name, values, show));
+const pageChoice = (here, label, name, values) =>
+  (values.length < 2 ? null : placedChoice(here, label, name, values, show));
 
 /** A field to filter by; `/` leads to it.
  * @param {Route} here @param {string} label @param {(text: string) => void} change */
@@ -137,7 +131,7 @@ function filterField(here, label, change) {
     "data-testid": "filter-text", placeholder: "press / to filter",
     oninput: () => { remember(here, { q: input.value }); change(input.value); },
   });
-  return element("label", { class: "field grow" }, element("span", {}, label), input);
+  return field(label, input, "field grow");
 }
 
 /** @param {string|null} text @returns {(haystack: string) => boolean} Whether all words of the text occur. */
@@ -152,19 +146,20 @@ const DARK = matchMedia("(prefers-color-scheme: dark)");
 /** @returns {"light"|"dark"} */
 const theme = () => (document.documentElement.dataset.theme === "dark" ? "dark" : "light");
 
-/** @returns {string|null} What was chosen earlier; a page from disk may have no storage. */
-function storedTheme() {
+/** @param {string} [name] To keep. @returns {string|null} What was kept; a page from disk may have no storage. */
+function keptTheme(name) {
   try {
-    const found = localStorage.getItem("challenger-theme");
-    return found === "light" || found === "dark" ? found : null;
+    if (name) localStorage.setItem("challenger-theme", name);
+    return localStorage.getItem("challenger-theme");
   } catch {
     return null;
   }
 }
 
-function showTheme(name = storedTheme() ?? (DARK.matches ? "dark" : "light")) {
+function showTheme(name = keptTheme() ?? (DARK.matches ? "dark" : "light")) {
   document.documentElement.dataset.theme = name;
   for (const image of document.querySelectorAll("img")) if (image.dataset.dark) image.src = image.dataset[name] ?? "";
+  document.dispatchEvent(new Event("theme"));
   const button = document.querySelector("[data-testid=theme-toggle]");
   if (!button) return;
   button.textContent = name === "dark" ? "☾ dark" : "☀ light";
@@ -173,16 +168,12 @@ function showTheme(name = storedTheme() ?? (DARK.matches ? "dark" : "light")) {
 
 function switchTheme() {
   const name = theme() === "dark" ? "light" : "dark";
-  try {
-    localStorage.setItem("challenger-theme", name);
-  } catch {
-    // The choice then lasts as long as the page.
-  }
+  keptTheme(name);
   showTheme(name);
 }
 
 showTheme();
-DARK.addEventListener("change", () => storedTheme() ?? showTheme());
+DARK.addEventListener("change", () => keptTheme() ?? showTheme());
 
 // --- which page --------------------------------------------------------------------------------------------------------
 /** @type {Record<string, PageMaker>} By the first part of the address. */
@@ -243,8 +234,7 @@ function show() {
   document.title = `${shownPage.title} · ${window.CHALLENGER?.title ?? "challenger-bench"}`;
   const name = /^#\/([^/?]*)/.exec(location.hash)?.[1] ?? "";
   for (const link of document.querySelectorAll("[data-testid=nav] a")) {
-    if (link.getAttribute("href") === `#/${own(PLACES, name) ?? name}`) link.setAttribute("aria-current", "page");
-    else link.removeAttribute("aria-current");
+    link.ariaCurrent = link.getAttribute("href") === `#/${own(PLACES, name) ?? name}` ? "page" : null;
   }
   scrollTo(0, place);
   if (shownPath !== null) {

@@ -10,21 +10,15 @@ pages.models = (here) => {
   const names = unique(models.flatMap((model) => model.data));
   const data = asked(here, "data", names);
   const protocol = asked(here, "protocol", protocols);
-  const views = tableViews(tables.filter((table) => table.data === data && table.judge === protocol),
-    { here, link: "model-link" });
-  /** @param {string|null} text */
-  const filter = (text) => {
-    const matches = matcher(text);
-    views.forEach((view) => view.filter(matches));
-  };
-  filter(here.params.get("q"));
+  const { nodes, field } = tableViews(tables.filter((table) => table.data === data && table.judge === protocol), here,
+    { link: "model-link" });
   return {
     title: "Planners",
     nodes: [
       element("h1", {}, "Planners"),
       element("div", { class: "toolbar" }, pageChoice(here, "Data set", "data", names),
-        pageChoice(here, "Protocol", "protocol", protocols), filterField(here, "Rows with", filter)),
-      ...views.map((view) => view.node),
+        pageChoice(here, "Protocol", "protocol", protocols), field),
+      ...nodes,
       models.length ? null : element("p", {}, "There are no run records."),
     ],
     destroy: () => hideNote(),
@@ -49,7 +43,7 @@ pages.model = (here) => {
       element("h2", {}, `Its worst scenes, protocol ${protocol}`), worstScenes(model, protocol),
       element("p", {}, element("a", { href: address(["scenes"], { fails: model.name }) }, "All scenes that it fails")),
       element("h2", {}, "Its rows of the tables"),
-      ...tableViews(mine, { here }).map((view) => view.node),
+      ...tableViews(mine, here).nodes,
       element("h2", {}, "What ran"), factList(model.facts),
       ...model.runs.map((run) => element("details", { class: "run" }, element("summary", {}, run.title),
         factList(run.facts))),
@@ -106,21 +100,14 @@ function chart(name, table) {
           ? `${x(index, series)},${y(each.value)}` : "")).join(" ") }),
         line.map((each, index) => each && [
           drawn("line", { x1: x(index, series), x2: x(index, series), y1: y(each.low), y2: y(each.high), class: "whisker" }),
-          drawn("path", { d: seriesShape(series, x(index, series), y(each.value)) })])))),
+          outline(seriesShape(series), {}, x(index, series), y(each.value))])))),
     element("figcaption", {}, `${table.title}: `, table.rows.map((row, series) =>
-      element("span", { class: "key" }, drawn("svg", { viewBox: "0 0 14 14", width: 14, height: 14, "aria-hidden": "true" },
-        drawn("path", { d: seriesShape(series, 7, 7), fill: seriesColour(series) })), row[split]))));
+      element("span", { class: "key" }, drawn("svg", { viewBox: "-7 -7 14 14", width: 14, height: 14, "aria-hidden": "true" },
+        outline(seriesShape(series), { fill: seriesColour(series) })), row[split]))));
 }
 
 /** @param {number} series */
 const seriesColour = (series) => SERIES[series % SERIES.length];
 
-/** @param {number} series @param {number} x @param {number} y @returns {string} Square, disc, triangle, diamond. */
-function seriesShape(series, x, y) {
-  return [
-    `M${x - 4},${y - 4}h8v8h-8z`,
-    `M${x - 4.5},${y}a4.5,4.5 0 1 0 9,0a4.5,4.5 0 1 0 -9,0z`,
-    `M${x},${y - 5.5}l5,9h-10z`,
-    `M${x},${y - 5.5}l5,5.5l-5,5.5l-5,-5.5z`,
-  ][series % 4];
-}
+/** @param {number} series */
+const seriesShape = (series) => ["square", "circle", "triangle", "diamond"][series % 4];

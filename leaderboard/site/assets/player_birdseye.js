@@ -121,22 +121,15 @@ class BirdsEye extends GroundView {
   drawWay(boxOf, colour) {
     const { frames } = this.scene;
     const now = this.state.frame;
-    /** @type {number[][]} */
-    const [behind, ahead, dots] = [[], [], []];
-    let next = 0.5;
-    for (let frame = now; frame >= 0 && frames[now] - frames[frame] <= PAST_S; frame--) {
-      const box = boxOf(frame);
-      if (box) behind.push(box.x, box.y);
-    }
-    for (let frame = now; frame < frames.length && frames[frame] - frames[now] <= FUTURE_S + 0.01; frame++) {
-      const box = boxOf(frame);
-      if (!box) continue;
-      ahead.push(box.x, box.y);
-      if (frames[frame] - frames[now] >= next - 0.01) {
-        dots.push(box.x, box.y);
-        next += 0.5;
-      }
-    }
+    /** @param {number[]} numbers Of frames. */
+    const places = (numbers) => numbers.flatMap((frame) => boxOf(frame) ?? []).flatMap(({ x, y }) => [x, y]);
+    const numbers = [...frames.keys()];
+    const behind = places(numbers.filter((frame) => frame <= now && frames[now] - frames[frame] <= PAST_S));
+    const next = numbers.filter((frame) => frame >= now && frames[frame] - frames[now] <= FUTURE_S + 0.01);
+    const ahead = places(next);
+    /** @param {number} frame */
+    const half = (frame) => Math.floor(2 * (frames[frame] - frames[now] + 0.01));
+    const dots = places(next.filter((frame) => frame > now && half(frame) > half(frame - 1)));
     this.faintly(0.55, () => {
       this.line(behind, colour, 1);
       this.line(ahead, colour, 2);
@@ -154,7 +147,7 @@ class BirdsEye extends GroundView {
   drawAgents() {
     const { colours, scene, state } = this;
     const there = scene.agents.map((agent) => ({ agent, box: this.boxOf(agent, state.frame) }));
-    const seen = there.flatMap(({ agent, box }) => (box && this.sees(box.x, box.y, agent.reach) ? [{ agent, box }] : []));
+    const seen = there.flatMap(({ agent, box }) => (box ? [{ agent, box }] : []));
     for (const kind of ["thing", "person", "cycle", "vehicle"]) {
       const boxes = seen.filter(({ agent }) => agent.kind === kind && !agent.adversary).map(({ box }) => box);
       this.boxes(boxes, colours[kind], kind === "vehicle" || kind === "cycle");
@@ -194,10 +187,10 @@ class BirdsEye extends GroundView {
     }
     if (!state.show.forecasts) return;
     this.faintly(0.9, () => {
-      this.trace(plan.forecasts.filter(({ x, y }) => this.sees(x, y, 10)));
+      this.trace(plan.forecasts);
       this.stroke(colour, 1, [2, 2]);
       for (const { path, x, y } of plan.forecasts) {
-        if (!path || !this.sees(x, y, 60)) continue;
+        if (!path) continue;
         this.line([x, y, ...path], colours.paper, 3);
         this.line([x, y, ...path], colour, 1.4, [3, 3]);
         this.marks(path, "circle", 2.2, colour, true);
@@ -283,10 +276,7 @@ class BirdsEye extends GroundView {
     const metres = [50, 20, 10, 5, 2].find((length) => length * this.scale <= this.width / 4) ?? 1;
     const [x, y, length] = [12, 18, metres * this.scale];
     context.beginPath();
-    context.moveTo(x, y - 5);
-    context.lineTo(x, y);
-    context.lineTo(x + length, y);
-    context.lineTo(x + length, y - 5);
+    traceLine(context, [x, y - 5, x, y, x + length, y, x + length, y - 5]);
     this.stroke(colours.paper, 4);
     this.stroke(colours.ink, 1.5);
     context.font = FONT(11);

@@ -1,7 +1,8 @@
 "use strict";
 /* The scene player: pictures of the cameras, with the adversaries' boxes. */
 
-const AHEAD = 14, BEHIND = 4, KEPT = 40;
+/** Pictures around the present one that are loaded before they are needed. */
+const AROUND = 24;
 
 /** Shows the picture in force of all cameras or of one; loads those around it before they are needed. */
 class Cameras {
@@ -11,8 +12,6 @@ class Cameras {
   at = -1;
   /** @type {Map<number, HTMLImageElement>} */
   images = new Map();
-  /** @type {Set<number>} */
-  broken = new Set();
 
   /** @param {HTMLCanvasElement} canvas @param {Scene} scene */
   constructor(canvas, scene) {
@@ -30,7 +29,6 @@ class Cameras {
 
   destroy() {
     this.resized.disconnect();
-    for (const image of this.images.values()) image.src = "";
     this.images.clear();
   }
 
@@ -62,16 +60,11 @@ class Cameras {
     if (at === this.at) return;
     this.at = at;
     this.canvas.dataset.frame = String(pictures[at]);
-    // Those around it, the nearest first; those far away are forgotten.
-    const wanted = [at];
-    for (let step = 1; step <= AHEAD; step++) wanted.push(at + step, ...(step <= BEHIND ? [at - step] : []));
-    for (const each of wanted) if (each >= 0 && each < pictures.length && !this.images.has(each)) this.load(each);
-    for (const [each, image] of this.images) {
-      if (this.images.size <= KEPT) break;
-      if (Math.abs(each - at) <= AHEAD) continue;
-      image.src = "";
-      this.images.delete(each);
+    // Those around it are loaded, the nearest first; those far away are forgotten.
+    for (const each of [...pictures.keys()].sort((a, b) => Math.abs(a - at) - Math.abs(b - at)).slice(0, AROUND)) {
+      if (!this.images.has(each)) this.load(each);
     }
+    for (const each of this.images.keys()) if (Math.abs(each - at) > AROUND) this.images.delete(each);
     this.paint();
   }
 
@@ -79,17 +72,9 @@ class Cameras {
   load(at) {
     const image = new Image();
     this.images.set(at, image);
-    image.addEventListener("load", () => {
-      if (at === this.at) this.paint();
-      // Decoded now, it need not be when it is drawn.
-      else image.decode().catch(() => this.broken.add(at));
-    });
-    image.addEventListener("error", () => {
-      if (this.images.get(at) !== image) return;
-      this.broken.add(at);
-      if (at === this.at) this.paint();
-    });
     image.src = `${this.scene.media}${String(this.scene.pictures[at]).padStart(6, "0")}.webp`;
+    // Decoded now, it need not be when it is drawn.
+    image.decode().catch(() => {}).then(() => { if (at === this.at) this.paint(); });
   }
 
   paint() {
@@ -99,12 +84,9 @@ class Cameras {
     const ratio = fitCanvas(canvas, canvas.clientWidth * height / width);
     const image = this.images.get(this.at);
     context.setTransform(1, 0, 0, 1, 0, 0);
-    if (this.broken.has(this.at)) return this.say("This picture is missing.");
-    if (!image?.complete || !image.naturalWidth) {
-      // The picture before stays until this one is there.
-      if (!canvas.dataset.painted) this.say("");
-      return;
-    }
+    // The picture before stays until this one is there.
+    if (!image?.complete) return canvas.dataset.painted ? undefined : this.say("");
+    if (!image.naturalWidth) return this.say("This picture is missing.");
     // Enlarged, a picture has fewer pixels than the screen.
     context.imageSmoothingQuality = "high";
     context.drawImage(image, left, top, width, height, 0, 0, canvas.width, canvas.height);
@@ -120,10 +102,7 @@ class Cameras {
     const { context, scene } = this;
     context.beginPath();
     for (const flat of Object.values(scene.edges[scene.pictures[this.at]] ?? {})) {
-      for (let at = 0; at < flat.length; at += 4) {
-        context.moveTo(flat[at], flat[at + 1]);
-        context.lineTo(flat[at + 2], flat[at + 3]);
-      }
+      for (let at = 0; at < flat.length; at += 4) traceLine(context, flat.slice(at, at + 4));
     }
     const { paper } = THEMES[theme()];
     for (const [colour, width] of /** @type {[string, number][]} */ ([[paper, 3.4], [ADVERSARY, 1.6]])) {

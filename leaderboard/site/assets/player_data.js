@@ -33,13 +33,10 @@ function unpackPath(steps, unit, x = 0, y = 0) {
   return path;
 }
 
-/** @param {Path2D} path @param {number[]} steps Adds a line in metres. */
-function addLine(path, steps) {
-  const points = unpackPath(steps, CENTIMETRE);
-  for (let at = 0; at < points.length; at += 2) {
-    if (at) path.lineTo(points[at], points[at + 1]);
-    else path.moveTo(points[at], points[at + 1]);
-  }
+/** Adds a line. @param {Path2D|CanvasRenderingContext2D} path @param {ArrayLike<number>} points x and y in turn.
+ * @param {(x: number, y: number) => [number, number]} [place] Where they are in the path. */
+function traceLine(path, points, place = (x, y) => [x, y]) {
+  for (let at = 0; at < points.length; at += 2) path[at ? "lineTo" : "moveTo"](...place(points[at], points[at + 1]));
 }
 
 /** @param {any} road @returns {Scene["ground"]} In metres; dividers by their paint. */
@@ -48,7 +45,7 @@ function groundOf(road) {
   const areas = (polygons) => {
     const path = new Path2D();
     for (const ring of polygons.flat()) {
-      addLine(path, ring);
+      traceLine(path, unpackPath(ring, CENTIMETRE));
       path.closePath();
     }
     return path;
@@ -57,7 +54,7 @@ function groundOf(road) {
   const dividers = new Map();
   for (const { paint, points } of road.dividers) {
     const path = dividers.get(paint) ?? new Path2D();
-    addLine(path, points);
+    traceLine(path, unpackPath(points, CENTIMETRE));
     dividers.set(paint, path);
   }
   const names = ["drivable", "crossings", "walkways", "carparks"];
@@ -82,7 +79,7 @@ function agentsOf({ agents, moved }) {
     number += adversary ? 1 : 0;
     return {
       id, kind: agentKind(category), adversary, letter: adversary ? `A${several ? number : ""}` : "", length, width, first,
-      count, reach: Math.hypot(length, width) / 2,
+      count,
       x: unpack(raw.x, count, CENTIMETRE), y: unpack(raw.y, count, CENTIMETRE), yaw: unpack(raw.yaw, count, MILLIRADIAN),
     };
   });

@@ -46,38 +46,26 @@ const SHAPES = Object.keys(OUTLINES).filter((shape) => shape !== "contact");
 /** How a planner is drawn, everywhere: by its place among those of the site. @param {string} name @returns {Style} */
 function styleOf(name) {
   const place = Math.max(site().models.findIndex((model) => model.name === name), 0);
-  const colours = COLOURS[theme()];
-  return { colour: colours[place % colours.length], dash: DASHES[place % DASHES.length], shape: SHAPES[place % SHAPES.length] };
+  const at = place % COLOURS.light.length;
+  return { place: at, colour: COLOURS[theme()][at], dash: DASHES[place % DASHES.length], shape: SHAPES[place % SHAPES.length] };
 }
 
 /** @param {CanvasRenderingContext2D} context @param {string} shape @param {number} x @param {number} y @param {number} size */
 function traceShape(context, shape, x, y, size) {
-  for (const [at, [dx, dy]] of OUTLINES[shape].entries()) {
-    if (at) context.lineTo(x + size * dx, y + size * dy);
-    else context.moveTo(x + size * dx, y + size * dy);
-  }
+  traceLine(context, OUTLINES[shape].flat(), (dx, dy) => [x + size * dx, y + size * dy]);
   context.closePath();
 }
 
-/** @param {string} name @returns {HTMLCanvasElement} A place for a piece of a planner's line. */
-const swatch = (name) => element("canvas", { class: "cp-swatch", width: 48, height: 28, "aria-hidden": "true", "data-name": name });
+/** @param {string} shape @param {Record<string, any>} attributes @returns {Element} Ten units high and wide. */
+const outline = (shape, attributes = {}, x = 0, y = 0) =>
+  drawn("polygon", { points: OUTLINES[shape].map(([dx, dy]) => [x + 5 * dx, y + 5 * dy].join()).join(" "), ...attributes });
 
-/** @param {HTMLCanvasElement} canvas Of `swatch`. */
-function paintSwatch(canvas) {
-  const { colour, dash, shape } = styleOf(canvas.dataset.name ?? "");
-  const context = contextOf(canvas);
-  const { width, height } = canvas;
-  context.clearRect(0, 0, width, height);
-  context.strokeStyle = context.fillStyle = colour;
-  context.lineWidth = 4;
-  context.setLineDash(dash.map((length) => length * 1.5));
-  context.beginPath();
-  context.moveTo(0, height / 2);
-  context.lineTo(width, height / 2);
-  context.stroke();
-  context.beginPath();
-  traceShape(context, shape, width / 2, height / 2, 9);
-  context.fill();
+/** @param {string} name @returns {Element} A piece of a planner's line. */
+function swatch(name) {
+  const { place, dash, shape } = styleOf(name);
+  const colour = `light-dark(${COLOURS.light[place]}, ${COLOURS.dark[place]})`;
+  return drawn("svg", { class: "cp-swatch", viewBox: "-13 -7 26 14", "aria-hidden": "true", stroke: colour, fill: colour },
+    drawn("line", { x1: -13, x2: 13, "stroke-width": 2, "stroke-dasharray": dash.join(" ") || null }), outline(shape));
 }
 
 /** @param {HTMLCanvasElement} canvas @param {CanvasRenderingContext2DSettings} [settings] */

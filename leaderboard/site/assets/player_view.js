@@ -2,13 +2,12 @@
 /* The scene player: where metres fall on a canvas, how people move about in it, and how things are drawn there. */
 
 const NEAREST_M = 6, FARTHEST_M = 160, FIRST_M = 32;
-const NUDGE_PX = 40;
+const NUDGE_PX = 40, ZOOM = 1.3;
 /** @param {number} size */
 const FONT = (size) => `600 ${size}px system-ui, "Liberation Sans", sans-serif`;
 
 /** A canvas over the ground around the ego. */
 class GroundView {
-  extent = FIRST_M;
   pan = [0, 0];
   headingUp = true;
   width = 0;
@@ -24,11 +23,12 @@ class GroundView {
   stop = new AbortController();
 
   /** @param {HTMLCanvasElement} canvas @param {Scene} scene @param {() => void} redraw Asks for a new drawing.
-   * @param {boolean} steered Whether pointer and wheel move it. */
-  constructor(canvas, scene, redraw, steered) {
+   * @param {boolean} steered Whether pointer and wheel move it. @param {number} extent Metres to its nearer edge. */
+  constructor(canvas, scene, redraw, steered, extent) {
     this.canvas = canvas;
     this.scene = scene;
     this.redraw = redraw;
+    this.extent = extent;
     this.context = contextOf(canvas, { alpha: false });
     if (steered) this.listen();
     this.resized = new ResizeObserver(() => redraw());
@@ -71,31 +71,20 @@ class GroundView {
   listen() {
     const { canvas } = this;
     const { signal } = this.stop;
-    /** @type {Map<number, number[]>} */
-    const pointers = new Map();
     canvas.addEventListener("wheel", (event) => {
       event.preventDefault();
       this.zoom(Math.exp(-event.deltaY * (event.deltaMode ? 0.05 : 0.0015)), [event.offsetX, event.offsetY]);
     }, { signal, passive: false });
-    canvas.addEventListener("pointerdown", (event) => {
-      pointers.set(event.pointerId, [event.offsetX, event.offsetY]);
-      canvas.setPointerCapture(event.pointerId);
+    let [x, y] = [0, 0];
+    canvas.addEventListener("pointerdown", ({ pointerId, isPrimary, offsetX, offsetY }) => {
+      if (isPrimary) canvas.setPointerCapture(pointerId);
+      if (isPrimary) [x, y] = [offsetX, offsetY];
     }, { signal });
     canvas.addEventListener("pointermove", ({ pointerId, offsetX, offsetY }) => {
-      const before = pointers.get(pointerId);
-      if (!before) return;
-      const other = [...pointers].find(([id]) => id !== pointerId)?.[1];
-      if (other) {
-        /** @param {number} x @param {number} y */
-        const distance = (x, y) => Math.max(Math.hypot(x - other[0], y - other[1]), 1);
-        this.zoom(distance(offsetX, offsetY) / distance(before[0], before[1]),
-          [(offsetX + other[0]) / 2, (offsetY + other[1]) / 2]);
-      } else this.move(offsetX - before[0], offsetY - before[1]);
-      pointers.set(pointerId, [offsetX, offsetY]);
+      if (!canvas.hasPointerCapture(pointerId)) return;
+      this.move(offsetX - x, offsetY - y);
+      [x, y] = [offsetX, offsetY];
     }, { signal });
-    for (const name of /** @type {const} */ (["pointerup", "pointercancel"])) {
-      canvas.addEventListener(name, (event) => pointers.delete(event.pointerId), { signal });
-    }
     canvas.addEventListener("dblclick", () => this.reset(), { signal });
   }
 
@@ -129,11 +118,6 @@ class GroundView {
     return [a * x + c * y + e, b * x + d * y + f];
   }
 
-  /** @param {number} x @param {number} y @param {number} reach @returns {boolean} Whether it is on the canvas. */
-  sees(x, y, reach) {
-    return Math.hypot(x - this.middle[0], y - this.middle[1]) <= this.radius + reach;
-  }
-
   /** @param {() => void} draw @param {number} alpha Draws fainter. */
   faintly(alpha, draw) {
     const { context } = this;
@@ -158,11 +142,7 @@ class GroundView {
   line(points, colour, width, dash = /** @type {number[]} */ ([])) {
     if (points.length < 4) return;
     this.context.beginPath();
-    for (let at = 0; at < points.length; at += 2) {
-      const [x, y] = this.pixel(points[at], points[at + 1]);
-      if (at) this.context.lineTo(x, y);
-      else this.context.moveTo(x, y);
-    }
+    traceLine(this.context, points, (x, y) => this.pixel(x, y));
     this.stroke(colour, width, dash);
   }
 
@@ -179,17 +159,18 @@ class GroundView {
     this.stroke(hollow ? colour : colours.paper);
   }
 
+  /** @param {Box} box @returns {(along: number, aside: number) => [number, number]} Pixels of parts of its length and width. */
+  inBox({ x, y, yaw, length, width }) {
+    const [cos, sin] = [Math.cos(yaw), Math.sin(yaw)];
+    return (along, aside) => this.pixel(x + along * length * cos - aside * width * sin, y + along * length * sin + aside * width * cos);
+  }
+
   /** @param {Box[]} boxes Begins a path of their outlines. */
   trace(boxes) {
     const { context } = this;
     context.beginPath();
-    for (const { x, y, yaw, length, width } of boxes) {
-      const [ax, ay] = [length / 2 * Math.cos(yaw), length / 2 * Math.sin(yaw)];
-      const [lx, ly] = [-width / 2 * Math.sin(yaw), width / 2 * Math.cos(yaw)];
-      context.moveTo(...this.pixel(x + ax + lx, y + ay + ly));
-      context.lineTo(...this.pixel(x - ax + lx, y - ay + ly));
-      context.lineTo(...this.pixel(x - ax - lx, y - ay - ly));
-      context.lineTo(...this.pixel(x + ax - lx, y + ay - ly));
+    for (const box of boxes) {
+      traceLine(context, [0.5, 0.5, -0.5, 0.5, -0.5, -0.5, 0.5, -0.5], this.inBox(box));
       context.closePath();
     }
   }
@@ -205,13 +186,7 @@ class GroundView {
     this.stroke(colours.paper);
     if (!noses) return;
     context.beginPath();
-    for (const { x, y, yaw, length, width } of boxes) {
-      const [cos, sin] = [Math.cos(yaw), Math.sin(yaw)];
-      const [bx, by] = [x + 0.2 * length * cos, y + 0.2 * length * sin];
-      context.moveTo(...this.pixel(bx - 0.3 * width * sin, by + 0.3 * width * cos));
-      context.lineTo(...this.pixel(x + 0.42 * length * cos, y + 0.42 * length * sin));
-      context.lineTo(...this.pixel(bx + 0.3 * width * sin, by - 0.3 * width * cos));
-    }
+    for (const box of boxes) traceLine(context, [0.2, 0.3, 0.42, 0, 0.2, -0.3], this.inBox(box));
     context.stroke();
   }
 

@@ -81,29 +81,22 @@ function markMoment(track, scene, sample, verdict) {
 /** @typedef {{words: string, kind?: string, title?: string}} Said */
 
 /** @param {Planner} model @param {number} sample @param {number} judge
- * @returns {{cells: Said[], sentence: string, uncounted: boolean}} */
+ * @returns {{cells: Said[], uncounted: boolean}} */
 function entryOf(model, sample, judge) {
-  const { name } = model;
   const nothing = Array(7).fill({ words: UNDEFINED });
   const failed = model.failed(sample);
-  if (failed !== undefined) {
-    const cells = [{ words: "failed", kind: "cp-bad", title: failed }, ...nothing];
-    return { cells, sentence: `${name} failed: ${failed}`, uncounted: false };
-  }
+  if (failed !== undefined) return { cells: [{ words: "failed", kind: "cp-bad", title: failed }, ...nothing], uncounted: false };
   const plan = model.plan(sample);
-  if (!plan) return { cells: [{ words: "did not run" }, ...nothing], sentence: `${name} did not run.`, uncounted: false };
+  if (!plan) return { cells: [{ words: "did not run" }, ...nothing], uncounted: false };
   const verdict = model.verdict(sample, judge);
   const within = [...(verdict?.marks ?? "---")].map((mark) => {
     const [sign, kind, , words] = site().legend[mark];
     return verdict ? { words: `${sign} ${words}${verdict.counted ? "" : " ‡"}`, kind: `cp-${kind}` } : { words };
   });
-  const hits = (verdict?.contact ?? null) !== null;
-  const cause = hits ? plan.cause : undefined;
+  const cause = (verdict?.contact ?? null) === null ? undefined : plan.cause;
   const cells = [...within, { words: verdict?.words ?? UNDEFINED }, { words: cause ?? UNDEFINED, title: cause && plan.reason },
     ...(plan.l2 ?? Array(3).fill(UNDEFINED)).map((words) => ({ words }))];
-  const sentence = `${name} ${site().legend[verdict?.mark ?? "-"][4]}${hits ? ` after ${verdict?.words}` : ""}${
-    cause ? `, ${cause}: ${plan.reason}` : ""}.`;
-  return { cells, sentence, uncounted: verdict !== null && !verdict.counted };
+  return { cells, uncounted: verdict !== null && !verdict.counted };
 }
 
 /** @param {Scene} scene @param {Planner[]} models @param {number} sample @returns {string[]} Of an instant of a drive. */
@@ -111,15 +104,6 @@ function sayDriven(scene, models, sample) {
   const did = scene.considered.findLast(({ t }) => t <= scene.samples[sample].t + 0.001)?.did;
   const failed = models.map((model) => model.failed(sample)).filter((why) => why !== undefined);
   return [...(did ? [DID[did]] : []), ...failed.map((why) => `The planner failed: ${why}`)];
-}
-
-/** @param {Scene} scene @param {Planner[]} models @param {number} sample @param {string|null} protocol
- * @returns {string} The verdicts on one sample, for those who listen. */
-function sentenceOf(scene, models, sample, protocol) {
-  const judge = scene.protocols.indexOf(protocol ?? "");
-  const said = scene.driven ? sayDriven(scene, models, sample)
-    : models.map((model) => entryOf(model, sample, judge).sentence);
-  return [`${sampleTime(scene, sample)}.`, ...said].join(" ");
 }
 
 /** Verdicts on the plans of one sample. @param {Scene} scene @param {Planner[]} models @param {number} sample

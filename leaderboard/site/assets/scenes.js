@@ -1,8 +1,6 @@
 "use strict";
 /* The scene browser, what the search tried, and the pages around the player. */
 
-/** Cards that are made at once; the others follow while the page is already there. */
-const SLICE = 48;
 const ATTEMPTS_SHOWN = 400;
 
 /** @param {SceneData} scene @param {string} model @param {string} protocol @returns {string|undefined} Its kind of mark. */
@@ -39,21 +37,6 @@ function filtersOf(here, filters, fits, refresh) {
 
 /** @param {string} testid @returns {HTMLElement} Where it stands how many of a list are shown. */
 const countPlace = (testid) => element("p", { class: "count", "data-testid": testid, "aria-live": "polite" });
-
-/** Puts nodes in slices, the first at once. @param {HTMLElement} parent @param {(() => Node)[]} makers
- * @returns {() => void} Stops it. */
-function putInSlices(parent, makers) {
-  let next = 0;
-  let timer = 0;
-  const put = () => {
-    parent.append(...makers.slice(next, next + SLICE).map((make) => make()));
-    next += SLICE;
-    if (next < makers.length) timer = setTimeout(put, 16);
-  };
-  parent.replaceChildren();
-  put();
-  return () => clearTimeout(timer);
-}
 
 // --- scenes ------------------------------------------------------------------------------------------------------------
 /** @param {SceneData} scene @param {string} protocol @param {string|null} [model] Whose plans the page starts with.
@@ -105,7 +88,6 @@ pages.scenes = (here) => {
   const count = countPlace("scene-count");
   const cards = element("div", { class: "cards" });
   const protocol = () => here.params.get("protocol") || protocols[0];
-  let stop = () => {};
   const list = filtersOf(here, sceneFilters, (scene, name, value) => sceneFits(scene, name, value, protocol()),
     () => refresh());
   const orders = sceneOrders.map(([name]) => name);
@@ -115,8 +97,7 @@ pages.scenes = (here) => {
     const found = list.fitting(scenes).filter((scene) => matches(scene.text))
       .map((scene) => ({ scene, key: sortKey(scene, order, protocol(), model) })).sort((a, b) => a.key - b.key);
     count.textContent = countLine(found.length, scenes.length, "scene");
-    stop();
-    stop = putInSlices(cards, found.map(({ scene }) => () => sceneCard(scene, protocol(), model)));
+    cards.replaceChildren(...found.map(({ scene }) => sceneCard(scene, protocol(), model)));
   }
   asked(here, "protocol", protocols);
   refresh();
@@ -135,7 +116,6 @@ pages.scenes = (here) => {
         element("span", { class: "open" }, UNDEFINED), " cannot be said; one mark a planner")),
       cards,
     ],
-    destroy: () => stop(),
   };
 };
 
@@ -182,10 +162,9 @@ pages.attempts = (here) => {
     nodes: [
       ...head,
       element("dl", { class: "tally" }, attemptTally.map(([reason, number]) => {
-        const bar = element("span", { class: reason === "kept" ? "bar kept" : "bar" });
-        bar.style.width = `${100 * number / attemptTally[0][1]}%`;
+        const bar = element("meter", { max: attemptTally[0][1], value: number, "aria-hidden": "true" });
         return [element("dt", {}, element("a", { href: address(["attempts"], { reason }) }, reason)),
-          element("dd", {}, bar, element("span", {}, String(number)))];
+          element("dd", {}, bar, String(number))];
       })),
       element("div", { class: "toolbar" }, filterField(here, "Attempts with", refresh), list.controls),
       count, place,
@@ -253,96 +232,78 @@ function driveLinks(scene) {
       key ? element("a", { href: address(["drive", key]) }, planner) : planner, ` ${measured}: ${outcome}`))));
 }
 
-/** The player in its place. @param {Route} here @param {string} key
- * @param {PlayerOptions} options Beside those that the address has. @param {(state: any) => Record<string, any>} kept
- * What of the player's state goes into the address. @param {() => void} [follow] Called when the address has changed,
- * for links that take the state along. */
-function playerIn(here, key, options, kept, follow) {
+/** A page around a player. @param {Route} here @param {string} key @param {PlayerOptions} options Beside those that the
+ * address has. @param {(state: any) => Record<string, any>} kept What of its state goes into the address.
+ * @param {string} title @param {(node: HTMLElement) => Page["nodes"]} around
+ * @param {() => void} [follow] Called when the address has changed, for links that take the state along. @returns {Page} */
+function playerPage(here, key, options, kept, title, around, follow = () => {}) {
   const node = element("div", { class: "player-place", "data-testid": "player" });
   const t = Number(here.params.get("t") || NaN);
-  /** @type {Player|null} */
+  /** @type {{destroy: () => void}|null} */
   let player = null;
+  asked(here, "protocol", site().protocols);
+  follow();
   return {
-    node,
+    title,
+    nodes: around(node),
     ready() {
-      player = new Player(node, key, {
-        t: Number.isFinite(t) ? t : undefined, protocol: here.params.get("protocol") ?? site().protocols[0],
+      player = playIn(node, key, (scene) => new Player(node, scene, {
+        t: Number.isFinite(t) ? t : undefined, protocol: here.params.get("protocol") ?? undefined,
         camera: here.params.get("camera") ?? undefined, ...options,
-        onState: (state) => { remember(here, kept(state)); follow?.(); },
-      });
+        onState: (state) => { remember(here, kept(state)); follow(); },
+      }), (sentence) => node.replaceChildren(element("p", { class: "error", role: "alert", "data-testid": "error" }, sentence)));
     },
     destroy: () => player?.destroy(),
   };
 }
 
+/** @param {Route} here @returns {Record<string, string|null>} What pages of a scene take along. */
+const common = ({ params }) => ({ protocol: params.get("protocol"), camera: params.get("camera") });
+
 pages.scene = (here) => {
   const scene = sceneOf(here.parts[1]);
-  asked(here, "protocol", site().protocols);
   const models = here.params.getAll("model");
   const unknown = models.find((name) => !site().models.some((model) => model.name === name));
   if (unknown !== undefined) throw new AddressError(`There is no planner called “${unknown}”.`);
   const links = element("p", { class: "neighbours" });
   const comparison = element("p");
-  const follow = () => {
-    const shown = here.params.getAll("model");
-    const common = { protocol: here.params.get("protocol"), camera: here.params.get("camera") };
-    links.replaceChildren(...neighbours(scene, { model: shown, ...common }));
-    const [a, b] = shown.length > 1 ? shown : unique([...shown, ...scene.pair]);
-    if (!b) return;
-    const href = address(["compare", scene.key], { a, b, t: here.params.get("t"), ...common });
-    comparison.replaceChildren(element("a", { class: "button", href }, `Compare ${a} and ${b} on this scene`));
-  };
-  follow();
-  const player = playerIn(here, scene.key, { models }, (state) => ({
-    t: state.t, model: state.models, protocol: state.protocol, camera: state.camera,
-  }), follow);
-  return {
-    ...player,
-    title: scene.scene,
-    nodes: [
-      links,
-      element("h1", {}, scene.scene, scene.manoeuvre ? element("span", { class: "tag" }, scene.manoeuvre) : null),
-      missingSheet(scene), player.node, comparison, sceneFacts(scene), driveLinks(scene), rounds(scene),
-    ],
-  };
+  return playerPage(here, scene.key, { models }, ({ models: model, ...state }) => ({ ...state, model }), scene.scene, (node) => [
+    links,
+    element("h1", {}, scene.scene, scene.manoeuvre ? element("span", { class: "tag" }, scene.manoeuvre) : null),
+    missingSheet(scene), node, comparison, sceneFacts(scene), driveLinks(scene), rounds(scene),
+  ], () => {
+    const model = here.params.getAll("model");
+    links.replaceChildren(...neighbours(scene, { model, ...common(here) }));
+    const [a, b] = model.length > 1 ? model : unique([...model, ...scene.pair]);
+    const href = address(["compare", scene.key], { a, b, t: here.params.get("t"), ...common(here) });
+    if (b) comparison.replaceChildren(element("a", { class: "button", href }, `Compare ${a} and ${b} on this scene`));
+  });
 };
 
 pages.compare = (here) => {
   const scene = sceneOf(here.parts[1]);
-  asked(here, "protocol", site().protocols);
   const a = here.params.get("a") ?? scene.pair[0];
   const b = here.params.get("b") ?? scene.pair.find((name) => name !== a);
   const unknown = [a, b].find((name) => name !== undefined && !own(scene.marks, name));
   if (unknown !== undefined) throw new AddressError(`“${unknown}” did not run on this scene.`);
   if (b === undefined) throw new AddressError(`Fewer than two planners ran on ${scene.scene}: nothing to compare.`);
   const back = element("a", {}, scene.scene);
-  const follow = () => back.setAttribute("href", address(["scene", scene.key], {
-    model: [here.params.get("a") ?? a, here.params.get("b") ?? b], t: here.params.get("t"),
-    protocol: here.params.get("protocol"), camera: here.params.get("camera") }));
-  follow();
-  const player = playerIn(here, scene.key, { compare: true, models: [a, b] }, (state) => ({
-    a: state.models[0], b: state.models[1], t: state.t, protocol: state.protocol, camera: state.camera,
-  }), follow);
-  return {
-    ...player,
-    title: `${a} and ${b} on ${scene.scene}`,
-    nodes: [element("h1", {}, "Two planners on ", back), missingSheet(scene), player.node, sceneFacts(scene)],
-  };
+  return playerPage(here, scene.key, { compare: true, models: [a, b] },
+    ({ models: [left, right], ...state }) => ({ ...state, a: left, b: right }), `${a} and ${b} on ${scene.scene}`,
+    (node) => [element("h1", {}, "Two planners on ", back), missingSheet(scene), node, sceneFacts(scene)],
+    () => back.setAttribute("href", address(["scene", scene.key], {
+      model: [here.params.get("a") ?? a, here.params.get("b") ?? b], t: here.params.get("t"), ...common(here) })));
 };
 
 pages.drive = (here) => {
   const drive = site().drives.find(({ key }) => key !== null && key === here.parts[1]);
   if (!drive?.key) throw new AddressError(`There is no drive with the key “${here.parts[1] ?? ""}”.`);
   const scene = site().scenes.find(({ key }) => key === drive.scene);
-  const player = playerIn(here, drive.key, {}, (state) => ({ t: state.t }));
-  return {
-    ...player,
-    title: `${drive.planner} drives`,
-    nodes: [
-      element("h1", {}, drive.planner, " drives ",
-        scene ? element("a", { href: address(["scene", scene.key]) }, scene.scene) : "a scene"),
-      element("p", {}, `Closed loop: ${drive.measured}; ${drive.outcome}.`),
-      element("p", { class: "remark", "data-testid": "drive-note" }, drive.note), player.node,
-    ],
-  };
+  const { key, planner, measured, outcome, note } = drive;
+  return playerPage(here, key, {}, ({ t }) => ({ t }), `${planner} drives`, (node) => [
+    element("h1", {}, planner, " drives ",
+      scene ? element("a", { href: address(["scene", scene.key]) }, scene.scene) : "a scene"),
+    element("p", {}, `Closed loop: ${measured}; ${outcome}.`),
+    element("p", { class: "remark", "data-testid": "drive-note" }, note), node,
+  ]);
 };

@@ -5,84 +5,48 @@ const AFTER_S = 1.4, REST_S = 1.2, EXTENT_M = 22;
 const STILL = matchMedia("(prefers-reduced-motion: reduce)");
 
 /** Plays what happens around a scene's first contact, again and again. */
-class Showing extends Player {
-  words = element("div", { class: "showing-words" });
-  button = element("button", { type: "button", "data-testid": "showing-play", onclick: () => this.toggle() }, "▶ Play");
+class Showing extends Viewer {
   time = element("output", { class: "showing-time" });
-  first = 0;
-  last = 0;
-  /** @type {Viewer|null} */
-  viewer = null;
 
-  /** Without the scene's script there is nothing to show. @param {unknown} error */
-  giveUp(error) {
-    if (!(error instanceof LoadError)) console.error(error);
-    this.place.remove();
-  }
-
-  destroy() {
-    super.destroy();
-    this.viewer?.destroy();
-  }
-
-  /** @param {Scene} scene */
-  begin(scene) {
-    const names = scene.shown[0] ?? [];
-    const models = scene.models.filter((model) => names.includes(model.name));
+  /** @param {HTMLElement} place @param {Scene} scene */
+  constructor(place, scene) {
+    super(place, scene, scene.protocols[0] ?? null);
+    this.chosen = scene.shown[0] ?? [];
+    const models = this.shown();
     const moment = decisive(scene, models, 0);
     const from = Math.max(moment - BEFORE_S, 0);
     [this.first, this.last] = [from, moment + AFTER_S].map((seconds) => frameAt(scene, seconds));
     this.frame = STILL.matches ? frameAt(scene, (from + moment) / 2) : this.first;
-    const viewer = new Viewer(scene, () => ({ frame: this.frame, protocol: scene.protocols[0] ?? null, chosen: models,
-      show: { bodies: true, recorded: true } }), (frame) => {
-      this.time.textContent = `${scene.frames[frame].toFixed(1)} s`;
-      this.place.dataset.frame = String(frame);
-    });
-    const above = element("canvas", { class: "showing-above", role: "img",
-      "aria-label": `Scene ${scene.scene} from above, with the plans of ${names.join(", ")}` });
-    viewer.addView(above, false).extent = EXTENT_M;
-    const stage = element("div", { class: "showing-stage" }, above);
-    if (scene.pictures.length && scene.cameras.length) {
-      const cameras = element("canvas", { class: "showing-cameras", role: "img",
-        "aria-label": "Its cameras, with the box of the adversary" });
-      viewer.cameras = new Cameras(cameras, scene);
-      stage.append(element("div", { class: "showing-side" }, cameras, this.words));
-    }
-    this.place.replaceChildren(stage);
-    viewer.swatches = models.map((model) => swatch(model.name));
-    const planners = models.map(({ name, shown, outcome = ["", ""] }, at) => element("li", {}, viewer.swatches[at],
+    this.playButton.dataset.testid = "showing-play";
+    const planners = models.map(({ name, shown, outcome = ["", ""] }) => element("li", {}, swatch(name),
       element("a", { href: address(["model", name]) }, shown), element("span", { class: outcome[0] }, outcome[1])));
-    this.words.replaceChildren(
+    const words = element("div", { class: "showing-words" },
       kindLegend(scene, ["ego", "adversary"]),
       element("ul", { class: "showing-planners" }, planners),
-      element("p", { class: "showing-do" }, this.button, this.time, element("a", { class: "button",
-        href: address(["scene", scene.key], { model: names }) }, "All of this scene")),
+      element("p", { class: "showing-do" }, this.playButton, this.time, element("a", { class: "button",
+        href: address(["scene", scene.key], { model: this.chosen }) }, "All of this scene")),
       element("p", { class: "quiet showing-name" },
         [scene.scene, scene.manoeuvre, scene.description].filter(Boolean).join(" · ")));
-    this.viewer = viewer;
-    viewer.retheme();
+    place.replaceChildren(element("div", { class: "showing-stage" },
+      this.addView({ class: "showing-above",
+        "aria-label": `Scene ${scene.scene} from above, with the plans of ${this.chosen.join(", ")}` }, false, EXTENT_M),
+      element("div", { class: "showing-side" }, this.addCameras({ class: "showing-cameras",
+        "aria-label": "Its cameras, with the box of the adversary" }), words)));
+    this.changed();
     if (!STILL.matches) this.toggle();
   }
 
-  toggle() {
-    this.playing = !this.playing;
-    this.button.textContent = this.playing ? "❚❚ Stop" : "▶ Play";
-    this.tick = null;
-    if (this.playing) requestAnimationFrame((now) => this.advance(now));
+  changed() {
+    this.time.textContent = `${this.scene.frames[this.frame].toFixed(1)} s`;
+    super.changed();
   }
 
-  /** @param {number} now Milliseconds; by the clock, and from the start again after a rest. */
-  advance(now) {
-    const { first, last, viewer } = this;
-    if (!this.playing || !viewer) return;
-    const { frames } = viewer.scene;
-    if (this.frame >= last && !this.tick) this.frame = first;
-    this.tick ??= { now, seconds: frames[this.frame] };
-    const seconds = this.tick.seconds + (now - this.tick.now) / 1000;
-    while (this.frame < last && frames[this.frame + 1] <= seconds) this.frame += 1;
-    if (seconds > frames[last] + REST_S) this.tick = null;
-    viewer.draw();
-    requestAnimationFrame((later) => this.advance(later));
+  /** From the start again after a rest. @param {number} seconds */
+  ended(seconds) {
+    if (seconds < REST_S) return;
+    this.tick = null;
+    this.frame = this.first;
+    this.changed();
   }
 }
 
@@ -91,7 +55,7 @@ pages.start = (here) => {
   const data = asked(here, "data", starts.map((each) => each.data));
   const start = starts.find((each) => each.data === data);
   const stage = element("section", { class: "showing", "data-testid": "showing", "aria-label": "A scene that plays" });
-  /** @type {Showing|null} */
+  /** @type {{destroy: () => void}|null} */
   let showing = null;
   const key = keyTables.find((table) => table.data === data);
   const mine = figures.filter((figure) => figure.data === data);
@@ -112,7 +76,10 @@ pages.start = (here) => {
         (start?.onwards ?? []).map(([href, title, words]) => element("a", { href },
           element("strong", {}, title), element("span", {}, words)))),
     ],
-    ready: () => { showing = start?.scene ? new Showing(stage, start.scene, {}) : null; },
+    ready() {
+      // Without the scene's script there is nothing to show.
+      if (start?.scene) showing = playIn(stage, start.scene, (scene) => new Showing(stage, scene), () => stage.remove());
+    },
     destroy: () => { hideNote(); showing?.destroy(); },
   };
 };

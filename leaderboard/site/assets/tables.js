@@ -214,15 +214,22 @@ function tableView(table, { notes = table.notes, here, link } = {}) {
   };
 }
 
-/** Several tables below each other; a note that stands below one is not said again.
- * @param {TableData[]} tables @param {{here?: Route, link?: string}} state */
-function tableViews(tables, state) {
+/** Several tables below each other, a note that stands above not said again, and a field that filters their rows.
+ * @param {TableData[]} tables @param {Route} here @param {{link?: string, fits?: (row: string[]) => boolean}} [of]
+ * Test id of planners; rows that are shown at all. @returns {{nodes: HTMLElement[], field: HTMLElement}} */
+function tableViews(tables, here, { link, fits = () => true } = {}) {
   const said = new Set();
-  return tables.map((table) => {
-    const notes = table.notes.filter((sentence) => !said.has(sentence));
-    notes.forEach((sentence) => said.add(sentence));
-    return tableView(table, { notes, ...state });
+  const views = tables.map((table) => {
+    const notes = table.notes.filter((sentence) => !said.has(sentence) && said.add(sentence));
+    return tableView(table, { notes, here, link });
   });
+  /** @param {string|null} text */
+  const filter = (text) => {
+    const matches = matcher(text);
+    views.forEach((view) => view.filter((words, row) => matches(words) && fits(row)));
+  };
+  filter(here.params.get("q"));
+  return { nodes: views.map((view) => view.node), field: filterField(here, "Rows with", filter) };
 }
 
 /** @param {TableData} table @param {(row: string[], at: number) => boolean} fits @returns {TableData} Some of its rows. */
@@ -243,13 +250,7 @@ pages.tables = (here) => {
   const sorted = mine.find((table) => here.params.get("sort")?.endsWith(`.${table.id}`));
   const group = here.params.has("group") ? asked(here, "group", groups) : sorted?.group ?? groups[0];
   const sliced = slicesOf(mine.filter((table) => table.group === group), group, here);
-  const views = tableViews(sliced.tables, { here });
-  /** @param {string|null} text */
-  const filter = (text) => {
-    const matches = matcher(text);
-    views.forEach((view) => view.filter((words, row) => matches(words) && sliced.fits(row)));
-  };
-  filter(here.params.get("q"));
+  const { nodes, field } = tableViews(sliced.tables, here, { fits: sliced.fits });
   return {
     title: "Tables",
     nodes: [
@@ -258,14 +259,13 @@ pages.tables = (here) => {
         "share a column. Point at a number, tap it or go to it with the arrow keys: it says its sample count, 95 % ",
         "interval and record."),
       element("div", { class: "toolbar" }, pageChoice(here, "Data set", "data", names), sliced.choices,
-        filterField(here, "Rows with", filter)),
+        field),
       element("div", { class: "tabs", role: "navigation", "aria-label": "Groups of tables" }, groups.map((each) =>
         element("a", {
           href: address(["tables"], { data: names.length > 1 ? data : null, group: each, q: here.params.get("q") }),
           "aria-current": each === group ? "true" : null,
         }, each))),
-      contents(sliced.tables),
-      ...views.map((view) => view.node),
+      ...nodes,
       group === FIGURES ? element("section", { class: "figures" }, drawings.map(figureView)) : null,
     ],
     destroy: () => hideNote(),
@@ -286,24 +286,11 @@ function slicesOf(tables, group, here) {
     tables: shown,
     fits: (row) => only === EVERY || row[KIND] === only,
     choices: [
-      choice({ label: "By", value: by, choices: kinds, testid: "filter-by",
-        change: (value) => { remember(here, { by: value, slice: null, sort: null }); show(); } }),
+      field("By", selectOf(kinds, by, (value) => { remember(here, { by: value, slice: null, sort: null }); show(); },
+        { "data-testid": "filter-by" })),
       pageChoice(here, by.charAt(0).toUpperCase() + by.slice(1), "slice", names),
     ],
   };
-}
-
-/** @param {TableData[]} shown @returns {HTMLElement|null} Titles that lead to their tables. */
-function contents(shown) {
-  if (shown.length < 4) return null;
-  const jumps = shown.map(({ id, title }) => element("li", {}, element("button", { type: "button", class: "link",
-    onclick: () => {
-      const section = document.getElementById(`section-${id}`);
-      section?.scrollIntoView();
-      /** @type {HTMLElement|null|undefined} */ (section?.querySelector("[tabindex]"))?.focus({ preventScroll: true });
-    } }, title)));
-  return element("details", { class: "contents" }, element("summary", {}, `${shown.length} tables on this page`),
-    element("ol", {}, jumps));
 }
 
 /** @param {FigureData} figure @returns {HTMLElement} */

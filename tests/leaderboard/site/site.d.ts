@@ -133,7 +133,6 @@ interface Agent {
   width: number;
   first: number;
   count: number;
-  reach: number;
   x: Float64Array;
   y: Float64Array;
   yaw: Float64Array;
@@ -197,6 +196,7 @@ interface Scene {
   apart: ([string, string, string] | null)[][][];
 }
 interface Style {
+  place: number;
   colour: string;
   dash: number[];
   shape: string;
