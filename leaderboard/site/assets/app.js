@@ -14,9 +14,8 @@ class AddressError extends Error {}
 const site = () => window.CHALLENGER;
 
 // --- elements ----------------------------------------------------------------------------------------------------------
-/** Gives a node attributes and children; text from records only ever becomes text. @template {Element} T
- * @param {T} node @param {Record<string, any>} attributes `on...` are listeners; null, undefined and false are left
- * out. @param {any[]} children Nodes, texts, nested lists; null, undefined and false are left out. @returns {T} */
+/** Gives a node what is neither null, undefined nor false; text from records only ever becomes text. @template {Element} T
+ * @param {T} node @param {Record<string, any>} attributes Functions are listeners. @param {any[]} children @returns {T} */
 function fill(node, attributes, children) {
   for (const [name, value] of Object.entries(attributes)) {
     if ((value ?? false) === false) continue;
@@ -45,6 +44,9 @@ function part(name) {
  * @template T @param {Record<string, T>|undefined} object @param {string|null|undefined} name @returns {T|undefined} */
 const own = (object, name) => (object && typeof name === "string" && Object.hasOwn(object, name) ? object[name] : undefined);
 
+/** @param {...any} names @returns {string|null} The true ones as an attribute. */
+const classes = (...names) => names.filter(Boolean).join(" ") || null;
+
 /** @template T @param {Iterable<T>} values @returns {T[]} Each once, in the order of first sight. */
 const unique = (values) => [...new Set(values)];
 
@@ -52,14 +54,10 @@ const unique = (values) => [...new Set(values)];
 const countLine = (found, of, noun) => `${found === of ? "" : `${found} of `}${of} ${noun}${of === 1 ? "" : "s"}`;
 
 /** A picture that there is for light pages and for dark ones.
- * @param {{light: string, dark: string|null, alt: string, width?: number|null, height?: number|null}} of */
-function picture({ light, dark, alt, width = null, height = null }) {
-  const night = dark ?? light;
-  return element("img", {
-    src: theme() === "dark" ? night : light, "data-light": light, "data-dark": night,
-    alt, loading: "lazy", decoding: "async", width, height,
-  });
-}
+ * @param {{light: string, dark: string, alt: string, width?: number|null, height?: number|null}} of */
+const picture = ({ light, dark, ...attributes }) => element("img", {
+  src: theme() === "dark" ? dark : light, "data-light": light, "data-dark": dark, loading: "lazy", decoding: "async",
+  ...attributes });
 
 // --- addresses ---------------------------------------------------------------------------------------------------------
 /** @param {URLSearchParams} query @param {Record<string, any>} changes Values or lists; empty ones leave nothing. */
@@ -180,23 +178,20 @@ DARK.addEventListener("change", () => keptTheme() ?? showTheme());
 const pages = {};
 /** @type {Record<string, string>} Pages that belong to another one of the menu. */
 const PLACES = { model: "models", scene: "scenes", compare: "scenes", drive: "scenes" };
-/** @type {Page|null} */
-let shownPage = null;
-/** @type {string|null} */
-let shownPath = null;
+let shownPage = /** @type {Page|null} */ (null);
+let shownPath = /** @type {string|null} */ (null);
 let followed = false;
 /** @type {Map<string, number>} */
 const scrolled = new Map();
 
 /** @param {string} sentence @returns {Page} */
 function errorPage(sentence) {
-  const links = [["#/", "To the overview"], ["#/tables", "to the tables"], ["#/scenes", "to the scenes"]];
   return {
     title: "Not found",
     nodes: [
       element("h1", {}, "There is nothing here"),
       element("p", { "data-testid": "error", role: "alert", class: "error" }, sentence),
-      element("p", {}, links.map(([href, words], at) => [at ? " · " : "", element("a", { href }, words)])),
+      element("p", {}, element("a", { href: "#/" }, "To the overview")),
     ],
   };
 }
@@ -253,10 +248,7 @@ function show() {
 document.addEventListener("DOMContentLoaded", () => {
   showTheme(theme());
   document.querySelector("[data-testid=theme-toggle]")?.addEventListener("click", switchTheme);
-  document.querySelector(".skip")?.addEventListener("click", (event) => {
-    event.preventDefault();
-    part("main").focus();
-  });
+  document.querySelector(".skip")?.addEventListener("click", (event) => { event.preventDefault(); part("main").focus(); });
   document.addEventListener("click", (event) => {
     if (event.target instanceof Element && event.target.closest("a[href^='#/']")) {
       scrolled.set(location.hash, scrollY);

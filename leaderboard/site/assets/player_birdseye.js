@@ -1,8 +1,8 @@
 "use strict";
 /* The scene player: the scene from above, drawn from vectors. */
 
-const PAST_S = 2, FUTURE_S = 3;
-const NAME_LETTERS = 24;
+const PAST_S = 2, FUTURE_S = 3, GRID_M = 400;
+const NAME_LETTERS = 24, LABEL_PX = 12, LINE_PX = 16;
 
 /** What is drawn of one planner. @typedef {{model: Planner, plan: Plan, style: Style, verdict: Verdict|null}} Drawn */
 
@@ -68,13 +68,11 @@ class BirdsEye extends GroundView {
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
   }
 
-  /** Squares of ten metres, where there is no map. */
+  /** Squares of ten metres around the ego, where there is no map. */
   drawGrid() {
-    const reach = Math.ceil(this.radius / 10) * 10;
-    const [x, y] = this.middle.map((metres) => Math.round(metres / 10) * 10);
-    for (let at = -reach; at <= reach; at += 10) {
-      this.line([x + at, y - reach, x + at, y + reach], this.colours.grid, 1);
-      this.line([x - reach, y + at, x + reach, y + at], this.colours.grid, 1);
+    for (let at = -GRID_M; at <= GRID_M; at += 10) {
+      this.line([at, -GRID_M, at, GRID_M], this.colours.grid, 1);
+      this.line([-GRID_M, at, GRID_M, at], this.colours.grid, 1);
     }
   }
 
@@ -96,10 +94,7 @@ class BirdsEye extends GroundView {
   drawEnd() {
     const { contact, frames } = this.scene;
     if (!contact || contact.t - frames[this.state.frame] > FUTURE_S) return;
-    const left = contact.t - frames[this.state.frame];
-    const [x, y] = this.pixel(contact.x, contact.y);
-    this.drawStar(x, y, true);
-    this.label(left >= 0.1 ? `contact in ${left.toFixed(1)} s` : "contact now", x + 14, y, true);
+    this.announce(contact.x, contact.y, "contact", contact.t - frames[this.state.frame], true);
   }
 
   /** Ways of ego and adversaries: thin where they were, thick with a dot each half second where they go. Of a drive also
@@ -146,8 +141,7 @@ class BirdsEye extends GroundView {
 
   drawAgents() {
     const { colours, scene, state } = this;
-    const there = scene.agents.map((agent) => ({ agent, box: this.boxOf(agent, state.frame) }));
-    const seen = there.flatMap(({ agent, box }) => (box ? [{ agent, box }] : []));
+    const seen = scene.agents.flatMap((agent) => [this.boxOf(agent, state.frame) ?? []].flat().map((box) => ({ agent, box })));
     for (const kind of ["thing", "person", "cycle", "vehicle"]) {
       const boxes = seen.filter(({ agent }) => agent.kind === kind && !agent.adversary).map(({ box }) => box);
       this.boxes(boxes, colours[kind], kind === "vehicle" || kind === "cycle");
@@ -215,59 +209,47 @@ class BirdsEye extends GroundView {
   drawContact({ model, plan, style, verdict }, age) {
     if (!verdict || verdict.contact === null) return;
     const counts = isBad(verdict);
-    const { context, colours, scene, state } = this;
+    const { colours, scene, state } = this;
     const start = scene.samples[this.sample];
     const box = bodyAlong(plan, verdict.contact, scene.body, scene.ego ? scene.ego.yaw[start.frame] : 0);
     this.trace([box]);
-    context.fillStyle = style.colour;
-    this.faintly(0.35, () => context.fill());
+    this.faintly(0.35, () => this.paint(style.colour));
     this.stroke(counts ? colours.contact : colours.faint, 2);
-    const hit = state.protocol === "exact" && plan.hit !== undefined ? this.hitBox(plan.hit, start.t + verdict.contact) : null;
+    const seconds = start.t + verdict.contact;
+    const agent = state.protocol === "exact" && seconds <= scene.frames[scene.frames.length - 1] + 0.05
+      ? scene.agents[plan.hit ?? -1] : undefined;
+    const hit = agent && this.boxOf(agent, frameAt(scene, seconds));
     if (hit) {
       this.trace([hit]);
       this.stroke(colours.ink, 2, [4, 3]);
     }
-    const [x, y] = this.pixel(...(hit ? mean(hit, box) : mean(box, box)));
-    this.drawStar(x, y, counts);
-    const left = verdict.contact - age;
+    const other = hit ?? box;
     const letters = [...model.name];
     const name = letters.length > NAME_LETTERS ? `${letters.slice(0, NAME_LETTERS - 1).join("")}…` : model.name;
-    const whom = verdict.mark === "a" ? " another" : "";
-    this.label(`${name}${whom} ${left >= 0.05 ? `in ${left.toFixed(1)} s` : "now"}`, x + 14, y, counts);
+    this.announce((other.x + box.x) / 2, (other.y + box.y) / 2, verdict.mark === "a" ? `${name} another` : name,
+      verdict.contact - age, counts);
   }
 
-  /** @param {number} x @param {number} y Pixels. @param {boolean} counts Hollow if not. */
-  drawStar(x, y, counts) {
+  /** A star with what is there and when, inside the canvas and clear of what is written; faint if it does not count.
+   * @param {number} x @param {number} y Metres. @param {string} what @param {number} left Seconds. @param {boolean} counts */
+  announce(x, y, what, left, counts) {
     const { context, colours } = this;
+    const [across, down] = this.pixel(x, y);
     context.beginPath();
-    traceShape(context, "contact", x, y, 10);
-    context.fillStyle = counts ? colours.contact : colours.paper;
-    context.fill();
+    traceShape(context, "contact", across, down, 10);
+    this.paint(counts ? colours.contact : colours.paper);
     this.stroke(counts ? colours.paper : colours.faint, 2);
-  }
-
-  /** @param {number} number Of the agent. @param {number} seconds Since the scene began. @returns {Box|null} Its box then. */
-  hitBox(number, seconds) {
-    const { frames, agents } = this.scene;
-    if (!agents[number] || seconds > frames[frames.length - 1] + 0.05) return null;
-    return this.boxOf(agents[number], frameAt(this.scene, seconds));
-  }
-
-  /** Text beside a point, inside the canvas and clear of what is written there already; faint if it does not count.
-   * @param {string} text @param {number} x @param {number} y @param {boolean} counts */
-  label(text, x, y, counts) {
-    const { context, colours } = this;
-    const size = 12, line = 16;
-    context.font = FONT(size);
+    const text = `${what} ${left >= 0.05 ? `in ${left.toFixed(1)} s` : "now"}`;
+    context.font = FONT(LABEL_PX);
     const { width } = context.measureText(text);
     // Where it would leave the canvas it is moved, and up, so that it does not cover what it names.
-    const outside = x + width + 6 > this.width;
-    const left = Math.max(outside ? this.width - width - 6 : x, 4);
-    let top = outside ? y - 22 : y;
-    while (this.labels.some(([otherLeft, otherTop, otherWidth]) => left < otherLeft + otherWidth + 6
-      && otherLeft < left + width + 6 && Math.abs(otherTop - top) < line)) top += outside ? -line : line;
-    this.labels.push([left, top, width]);
-    this.write(text, left, top, size, counts ? colours.contact : colours.faint, width);
+    const outside = across + width + 20 > this.width;
+    const begin = Math.max(outside ? this.width - width - 6 : across + 14, 4);
+    let top = outside ? down - 22 : down;
+    while (this.labels.some(([otherBegin, otherTop, otherWidth]) => begin < otherBegin + otherWidth + 6
+      && otherBegin < begin + width + 6 && Math.abs(otherTop - top) < LINE_PX)) top += outside ? -LINE_PX : LINE_PX;
+    this.labels.push([begin, top, width]);
+    this.write(text, begin, top, LABEL_PX, counts ? colours.contact : colours.faint, true);
   }
 
   /** A bar of a round number of metres. */
@@ -279,10 +261,6 @@ class BirdsEye extends GroundView {
     traceLine(context, [x, y - 5, x, y, x + length, y, x + length, y - 5]);
     this.stroke(colours.paper, 4);
     this.stroke(colours.ink, 1.5);
-    context.font = FONT(11);
-    this.write(`${metres} m`, x + length + 8, y - 5, 11, colours.ink, context.measureText(`${metres} m`).width);
+    this.write(`${metres} m`, x + length + 8, y - 5, 11, colours.ink, true);
   }
 }
-
-/** @param {Box} one @param {Box} other @returns {[number, number]} Between them. */
-const mean = (one, other) => [(one.x + other.x) / 2, (one.y + other.y) / 2];

@@ -17,7 +17,7 @@ class Cameras {
   constructor(canvas, scene) {
     this.canvas = canvas;
     this.scene = scene;
-    this.context = contextOf(canvas, { alpha: false });
+    this.context = contextOf(canvas);
     this.size = [
       Math.max(...scene.cameras.map(({ left, width }) => left + width)),
       Math.max(...scene.cameras.map(({ top, height }) => top + height)),
@@ -85,8 +85,9 @@ class Cameras {
     const image = this.images.get(this.at);
     context.setTransform(1, 0, 0, 1, 0, 0);
     // The picture before stays until this one is there.
-    if (!image?.complete) return canvas.dataset.painted ? undefined : this.say("");
-    if (!image.naturalWidth) return this.say("This picture is missing.");
+    if (!image?.complete) return;
+    canvas.title = image.naturalWidth ? "" : "This picture is missing.";
+    if (!image.naturalWidth) return context.clearRect(0, 0, canvas.width, canvas.height);
     // Enlarged, a picture has fewer pixels than the screen.
     context.imageSmoothingQuality = "high";
     context.drawImage(image, left, top, width, height, 0, 0, canvas.width, canvas.height);
@@ -94,7 +95,6 @@ class Cameras {
     context.setTransform(scale, 0, 0, scale, -left * scale, -top * scale);
     this.paintEdges(scale / ratio);
     this.paintNames(scale / ratio);
-    canvas.dataset.painted = canvas.dataset.frame;
   }
 
   /** @param {number} scale Pixels of the screen to one of the picture. */
@@ -104,10 +104,8 @@ class Cameras {
     for (const flat of Object.values(scene.edges[scene.pictures[this.at]] ?? {})) {
       for (let at = 0; at < flat.length; at += 4) traceLine(context, flat.slice(at, at + 4));
     }
-    const { paper } = THEMES[theme()];
-    for (const [colour, width] of /** @type {[string, number][]} */ ([[paper, 3.4], [ADVERSARY, 1.6]])) {
-      context.strokeStyle = colour;
-      context.lineWidth = width / scale;
+    for (const [width, colour] of [[3.4, THEMES[theme()].paper], [1.6, ADVERSARY]]) {
+      Object.assign(context, { lineWidth: Number(width) / scale, strokeStyle: colour });
       context.stroke();
     }
   }
@@ -125,17 +123,5 @@ class Cameras {
       context.fillStyle = "#ffffff";
       context.fillText(words, left + size / 2, top + size / 4);
     }
-  }
-
-  /** @param {string} sentence */
-  say(sentence) {
-    const { context, canvas } = this;
-    const { grid, ink } = THEMES[theme()];
-    context.fillStyle = grid;
-    context.fillRect(0, 0, canvas.width, canvas.height);
-    context.fillStyle = ink;
-    context.font = FONT(Math.round(canvas.width / 40));
-    context.textBaseline = "middle";
-    context.fillText(sentence, canvas.width / 20, canvas.height / 2);
   }
 }

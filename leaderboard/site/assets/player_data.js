@@ -19,18 +19,10 @@ function unpack(steps, count, unit) {
   return values;
 }
 
-/** @param {number[]} steps x and y in turn. @param {number} unit @param {number} [x]
- * @param {number} [y] Where it begins. @returns {Float64Array} x and y in turn, metres. */
+/** @param {number[]} steps x and y in turn. @param {number} unit @returns {Float64Array} The same in metres from x, y. */
 function unpackPath(steps, unit, x = 0, y = 0) {
-  const path = new Float64Array(steps.length);
-  let [nowX, nowY] = [Math.round(x / unit), Math.round(y / unit)];
-  for (let at = 0; at < steps.length; at += 2) {
-    nowX += steps[at];
-    nowY += steps[at + 1];
-    path[at] = nowX * unit;
-    path[at + 1] = nowY * unit;
-  }
-  return path;
+  const now = [Math.round(x / unit), Math.round(y / unit)];
+  return Float64Array.from(steps, (step, at) => (now[at % 2] += step) * unit);
 }
 
 /** Adds a line. @param {Path2D|CanvasRenderingContext2D} path @param {ArrayLike<number>} points x and y in turn.
@@ -39,26 +31,23 @@ function traceLine(path, points, place = (x, y) => [x, y]) {
   for (let at = 0; at < points.length; at += 2) path[at ? "lineTo" : "moveTo"](...place(points[at], points[at + 1]));
 }
 
-/** @param {any} road @returns {Scene["ground"]} In metres; dividers by their paint. */
-function groundOf(road) {
-  /** @param {number[][][]} polygons */
-  const areas = (polygons) => {
-    const path = new Path2D();
-    for (const ring of polygons.flat()) {
-      traceLine(path, unpackPath(ring, CENTIMETRE));
-      path.closePath();
-    }
-    return path;
-  };
-  /** @type {Map<string, Path2D>} */
-  const dividers = new Map();
-  for (const { paint, points } of road.dividers) {
-    const path = dividers.get(paint) ?? new Path2D();
-    traceLine(path, unpackPath(points, CENTIMETRE));
-    dividers.set(paint, path);
+/** @param {number[][]} lines @param {boolean} areas @returns {Path2D} In metres. */
+function pathOf(lines, areas) {
+  const path = new Path2D();
+  for (const line of lines) {
+    traceLine(path, unpackPath(line, CENTIMETRE));
+    if (areas) path.closePath();
   }
-  const names = ["drivable", "crossings", "walkways", "carparks"];
-  return { areas: Object.fromEntries(names.map((name) => [name, areas(road[name])])), dividers };
+  return path;
+}
+
+/** @param {any} road @returns {Scene["ground"]} Dividers by their paint. */
+function groundOf({ dividers, ...areas }) {
+  const lines = Object.groupBy(/** @type {{paint: string, points: number[]}[]} */ (dividers), ({ paint }) => paint);
+  return {
+    areas: Object.fromEntries(Object.entries(areas).map(([name, polygons]) => [name, pathOf(polygons.flat(), true)])),
+    dividers: Object.entries(lines).map(([paint, of = []]) => [paint, pathOf(of.map(({ points }) => points), false)]),
+  };
 }
 
 /** @param {string} category @returns {string} What decides its colour. */
@@ -108,9 +97,9 @@ function bodyAlong(plan, seconds, body, startYaw) {
 function planOf(raw, body) {
   const path = unpackPath(raw.path, CENTIMETRE);
   const yaw = unpack(raw.yaw, STEPS, MILLIRADIAN);
-  const { cause, reason, hit, l2, modes = [], forecasts = [] } = raw;
+  const { modes = [], forecasts = [] } = raw;
   return {
-    path, yaw, cause, reason, hit, l2,
+    ...raw, path, yaw,
     boxes: Array.from(yaw, (each, step) => boxAt(path[2 * step + 2], path[2 * step + 3], each, body)),
     modes: modes.map((/** @type {number[]} */ mode) => unpackPath(mode, CENTIMETRE, path[0], path[1])),
     forecasts: forecasts.map(forecastOf),
@@ -127,16 +116,15 @@ function forecastOf(raw) {
 function plannerOf({ name, shown, first, outcome, samples }, body) {
   /** @type {Map<number, Plan>} */
   const made = new Map();
-  /** @param {number} sample */
-  const plan = (sample) => {
-    const raw = samples[sample];
-    if (!raw || raw.failed !== undefined) return null;
-    const found = made.get(sample) ?? planOf(raw, body);
-    made.set(sample, found);
-    return found;
-  };
   return {
-    name, shown, first, outcome, plan,
+    name, shown, first, outcome,
+    plan(sample) {
+      const raw = samples[sample];
+      if (!raw || raw.failed !== undefined) return null;
+      const found = made.get(sample) ?? planOf(raw, body);
+      made.set(sample, found);
+      return found;
+    },
     failed: (sample) => samples[sample]?.failed,
     verdict(sample, protocol) {
       const raw = samples[sample]?.judged?.[protocol];
@@ -196,13 +184,12 @@ function loadScript(key) {
   if (Object.hasOwn(store, key)) return Promise.resolve(store[key]);
   return new Promise((resolve, reject) => {
     const script = element("script", { src: `data/scenes/${key}.js` });
-    script.addEventListener("error", () => { script.remove(); reject(new LoadError(missing(key))); });
-    script.addEventListener("load", () => {
+    script.onload = script.onerror = () => {
       script.remove();
       if (!Object.hasOwn(store, key)) reject(new LoadError(missing(key)));
       for (const old of Object.keys(store).slice(0, -SCENES_KEPT)) if (old !== key) delete store[old];
       resolve(store[key]);
-    });
+    };
     document.head.append(script);
   });
 }

@@ -16,9 +16,6 @@ class GroundView {
   /** Pixels of a metre. */
   scale = 1;
   matrix = [1, 0, 0, 1, 0, 0];
-  /** What is in the middle, and how far it is to the corners, metres. */
-  middle = [0, 0];
-  radius = 0;
   colours = THEMES.light;
   stop = new AbortController();
 
@@ -107,9 +104,6 @@ class GroundView {
     const [left, top] = [this.width / 2 + this.pan[0], this.height * this.share() + this.pan[1]];
     const [e, f] = [left - sin * x + cos * y, top + cos * x + sin * y];
     this.matrix = [sin, -cos, -cos, -sin, e, f];
-    const [dx, dy] = [this.width / 2 - e, this.height / 2 - f].map((pixels) => pixels / this.scale ** 2);
-    this.middle = [sin * dx - cos * dy, -cos * dx - sin * dy];
-    this.radius = Math.hypot(this.width, this.height) / 2 / this.scale;
   }
 
   /** @param {number} x @param {number} y Metres. @returns {[number, number]} Pixels. */
@@ -125,6 +119,12 @@ class GroundView {
     context.globalAlpha = alpha * before;
     draw();
     context.globalAlpha = before;
+  }
+
+  /** @param {string} colour Fills the path. */
+  paint(colour) {
+    this.context.fillStyle = colour;
+    this.context.fill();
   }
 
   /** @param {string} colour @param {number} width @param {number[]} dash Strokes the path. */
@@ -154,15 +154,14 @@ class GroundView {
     for (let at = 0; at < points.length; at += 2) {
       traceShape(context, shape, ...this.pixel(points[at], points[at + 1]), size);
     }
-    context.fillStyle = hollow ? colours.paper : colour;
-    context.fill();
+    this.paint(hollow ? colours.paper : colour);
     this.stroke(hollow ? colour : colours.paper);
   }
 
-  /** @param {Box} box @returns {(along: number, aside: number) => [number, number]} Pixels of parts of its length and width. */
+  /** @param {Box} box @returns {(along: number, aside: number) => [number, number]} Pixels, by shares of its sides. */
   inBox({ x, y, yaw, length, width }) {
-    const [cos, sin] = [Math.cos(yaw), Math.sin(yaw)];
-    return (along, aside) => this.pixel(x + along * length * cos - aside * width * sin, y + along * length * sin + aside * width * cos);
+    const [ax, ay, bx, by] = [length * Math.cos(yaw), length * Math.sin(yaw), -width * Math.sin(yaw), width * Math.cos(yaw)];
+    return (along, aside) => this.pixel(x + along * ax + aside * bx, y + along * ay + aside * by);
   }
 
   /** @param {Box[]} boxes Begins a path of their outlines. */
@@ -180,8 +179,7 @@ class GroundView {
     if (!boxes.length) return;
     const { context, colours } = this;
     this.trace(boxes);
-    context.fillStyle = colour;
-    context.fill();
+    this.paint(colour);
     if (this.scale < 4) return;
     this.stroke(colours.paper);
     if (!noses) return;
@@ -191,15 +189,16 @@ class GroundView {
   }
 
   /** @param {string} text @param {number} x @param {number} y @param {number} size @param {string} colour
-   * @param {number} plate How wide the paper behind it is; without one it is centred. */
-  write(text, x, y, size, colour, plate = 0) {
+   * @param {boolean} plate Whether there is paper behind it; without, it is centred. */
+  write(text, x, y, size, colour, plate = false) {
     const { context, colours } = this;
     context.font = FONT(size);
     context.textAlign = plate ? "left" : "center";
     context.textBaseline = "middle";
     if (plate) {
       context.fillStyle = colours.paper;
-      this.faintly(0.85, () => context.fillRect(x - 3, y - size * 0.65, plate + 6, size * 1.3));
+      const { width } = context.measureText(text);
+      this.faintly(0.85, () => context.fillRect(x - 3, y - size * 0.65, width + 6, size * 1.3));
     }
     context.fillStyle = colour;
     context.fillText(text, x, y);

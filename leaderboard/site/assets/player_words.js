@@ -11,16 +11,14 @@ const DID = {
 
 /** @param {Scene} scene @param {number} seconds @returns {number} The nearest frame. */
 function frameAt({ frames }, seconds) {
-  let best = 0;
-  for (const [at, time] of frames.entries()) if (Math.abs(time - seconds) < Math.abs(frames[best] - seconds)) best = at;
-  return best;
+  const apart = frames.map((time) => Math.abs(time - seconds));
+  return apart.indexOf(apart.reduce((least, each) => Math.min(least, each), Infinity));
 }
 
 /** @param {Scene} scene @param {Planner[]} models @param {number} judge Number of the protocol.
  * @returns {number} What it is all about, seconds: a first contact, else when an adversary is closest. */
 function decisive(scene, models, judge) {
-  const moments = models.map((model) => model.first[judge] ?? Infinity);
-  const first = Math.min(...moments);
+  const first = Math.min(...models.map((model) => model.first[judge] ?? Infinity));
   return Number.isFinite(first) ? first : scene.closest ?? 0;
 }
 
@@ -28,10 +26,8 @@ function decisive(scene, models, judge) {
 const isBad = ({ mark }) => site().legend[mark][1] === "bad";
 
 /** @param {Scene} scene @param {Planner} model @param {number} judge @returns {number[]} Samples that collide and count. */
-const collisions = (scene, model, judge) => [...scene.samples.keys()].filter((sample) => {
-  const verdict = model.verdict(sample, judge);
-  return verdict?.counted && verdict.contact !== null;
-});
+const collisions = (scene, model, judge) => [...scene.samples.keys()].filter((sample) =>
+  model.verdict(sample, judge)?.counted && model.verdict(sample, judge)?.contact !== null);
 
 /** @param {Scene} scene @param {number} sample @returns {string} */
 const sampleTime = (scene, sample) => `${scene.samples[sample].t.toFixed(1)} s`;
@@ -134,7 +130,7 @@ function verdictsTable(caption, models, rows, both) {
   const differs = heads.map((_, column) => both && column > 0 && column < 6
     && rows[0][column - 1].words !== rows[1][column - 1].words);
   /** @param {string|undefined} kind @param {number} column */
-  const kinds = (kind, column) => [kind, differs[column] ? "cp-differs" : null].filter(Boolean).join(" ") || null;
+  const kinds = (kind, column) => classes(kind, differs[column] && "cp-differs");
   return element("table", {}, element("caption", {}, caption),
     element("thead", {},
       element("tr", {}, groups.map(([words, span]) => element("th", { scope: "colgroup", colspan: span }, words))),

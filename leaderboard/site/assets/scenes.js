@@ -17,17 +17,15 @@ function sceneOf(key) {
 }
 
 // --- lists that are filtered -------------------------------------------------------------------------------------------
-/** What an address asks of a list, and the controls that change it. @template T @param {Route} here @param {Filter[]}
- * filters Those with one choice are not shown, but the first one's "all" is.
+/** What an address asks of a list, and the controls that change it. @template T @param {Route} here @param {Filter[]} filters
  * @param {(item: T, name: string, value: string) => boolean} fits @param {() => void} refresh
  * @returns {{controls: (HTMLElement|null)[], fitting: (items: T[]) => T[]}} */
 function filtersOf(here, filters, fits, refresh) {
   const used = filters.filter(({ choices }) => choices.length);
-  for (const { name, choices } of used) asked(here, name, choices.map((each) => (Array.isArray(each) ? each[0] : each)));
-  const shown = used.filter(({ name, choices }) => name !== "data" || choices.length > 1);
+  for (const { name, choices } of used) asked(here, name, choices.map((each) => [each].flat()[0]));
   return {
-    controls: shown.map(({ name, label, any, choices }) =>
-      placedChoice(here, label, name, [["", any], ...choices], refresh)),
+    controls: used.filter(({ name, choices }) => name !== "data" || choices.length > 1).map(
+      ({ name, label, any, choices }) => placedChoice(here, label, name, [["", any], ...choices], refresh)),
     fitting: (items) => items.filter((item) => filters.every(({ name }) => {
       const value = here.params.get(name);
       return !value || fits(item, name, value);
@@ -54,7 +52,7 @@ function sceneCard(scene, protocol, model) {
   });
   return element("article", { class: "card", "data-testid": "scene-card", "data-key": scene.key },
     element("a", { class: "picture", href, tabindex: "-1", "aria-hidden": "true" },
-      scene.thumb ? picture({ light: scene.thumb, dark: scene.thumbDark, alt: "", width: 320, height: 320 })
+      scene.thumb ? picture({ light: scene.thumb, dark: scene.thumbDark ?? scene.thumb, alt: "", width: 320, height: 320 })
         : element("span", { class: "no-picture" }, "no sheet")),
     element("div", { class: "card-text" },
       element("a", { class: "name", href }, scene.scene),
@@ -77,10 +75,8 @@ function sceneFits(scene, name, value, protocol) {
  * @returns {number} What scenes are sorted by, least first; what has no such number comes last. */
 function sortKey(scene, order, protocol, model) {
   const [bad, split] = own(scene.counts, protocol) ?? [0, 0];
-  const severe = own(scene.severe, model || "")?.[0];
-  /** @type {Record<string, number>} */
-  const keys = { name: 0, hardest: -bad, easiest: bad, split: -split, ...(severe ? { severe: -severe } : {}), ...scene.order };
-  return own(keys, order) ?? Number.MAX_VALUE;
+  const severe = -(own(scene.severe, model || "")?.[0] || -Number.MAX_VALUE);
+  return own({ name: 0, hardest: -bad, easiest: bad, split: -split, severe, ...scene.order }, order) ?? Number.MAX_VALUE;
 }
 
 pages.scenes = (here) => {
@@ -90,9 +86,8 @@ pages.scenes = (here) => {
   const protocol = () => here.params.get("protocol") || protocols[0];
   const list = filtersOf(here, sceneFilters, (scene, name, value) => sceneFits(scene, name, value, protocol()),
     () => refresh());
-  const orders = sceneOrders.map(([name]) => name);
   function refresh() {
-    const [order, model] = [asked(here, "sort", orders), here.params.get("fails")];
+    const [order, model] = [asked(here, "sort", sceneOrders.map(([name]) => name)), here.params.get("fails")];
     const matches = matcher(here.params.get("q"));
     const found = list.fitting(scenes).filter((scene) => matches(scene.text))
       .map((scene) => ({ scene, key: sortKey(scene, order, protocol(), model) })).sort((a, b) => a.key - b.key);
@@ -123,6 +118,7 @@ pages.scenes = (here) => {
 pages.attempts = (here) => {
   const { attempts, attemptFilters, attemptTally, scenes } = site();
   const place = element("div");
+  const known = new Set(scenes.map((scene) => scene.key));
   const count = countPlace("attempt-count");
   const list = filtersOf(here, attemptFilters, (/** @type {Record<string, string>} */ attempt, name, value) =>
     attempt[name] === value, () => refresh());
@@ -135,39 +131,33 @@ pages.attempts = (here) => {
   /** @param {Record<string, string>[]} found @returns {HTMLElement} */
   function attemptTable(found) {
     const shown = found.slice(0, ATTEMPTS_SHOWN);
-    const view = tableView({
+    const { node } = tableView({
       id: "attempts", title: "Attempts", textColumns: 6, groups: [], cells: null,
       columns: ["recording", "vehicle", "split", "outcome", "manoeuvre", "scene"],
       rows: shown.map((attempt) => ["source", "agent", "split", "reason", "manoeuvre", "scene"]
         .map((name) => attempt[name] ?? UNDEFINED)),
       notes: found.length > shown.length ? [`The first ${shown.length} of ${found.length}; filter to see others.`] : [],
     });
-    const known = new Set(scenes.map((scene) => scene.key));
-    for (const [at, row] of [...view.node.querySelectorAll("tbody tr")].entries()) {
+    node.querySelectorAll("tbody tr").forEach((row, at) => {
       const { key, scene } = shown[at];
       if (known.has(key)) row.lastElementChild?.replaceChildren(element("a", { href: address(["scene", key]) }, scene));
-    }
-    return view.node;
-  }
-  const head = [element("h1", {}, "What the search tried"), element("p", { class: "lead" }, "A vehicle is tried as the "
-    + "adversary, and kept only if the scene is physically sound, solvable and hard enough. This is what became of each.")];
-  if (!attempts.length) {
-    return { title: "Attempts", nodes: [...head, element("p", { class: "remark" }, "Nothing is known of a search: the sheets "
-      + "of generated splits say it (", element("code", {}, "challenger-bench sheets --split adv"),
-    "), then write the leaderboard again.")] };
+    });
+    return node;
   }
   refresh();
   return {
     title: "Attempts",
     nodes: [
-      ...head,
-      element("dl", { class: "tally" }, attemptTally.map(([reason, number]) => {
-        const bar = element("meter", { max: attemptTally[0][1], value: number, "aria-hidden": "true" });
-        return [element("dt", {}, element("a", { href: address(["attempts"], { reason }) }, reason)),
-          element("dd", {}, bar, String(number))];
-      })),
-      element("div", { class: "toolbar" }, filterField(here, "Attempts with", refresh), list.controls),
-      count, place,
+      element("h1", {}, "What the search tried"),
+      element("p", { class: "lead" }, "A vehicle is tried as the adversary, and kept only if the scene is physically sound, ",
+        "solvable and hard enough. This is what became of each."),
+      ...(attempts.length ? [
+        element("dl", { class: "tally" }, attemptTally.map(([reason, number]) => [
+          element("dt", {}, element("a", { href: address(["attempts"], { reason }) }, reason)),
+          element("dd", {}, element("meter", { max: attemptTally[0][1], value: number, "aria-hidden": "true" }), number)])),
+        element("div", { class: "toolbar" }, filterField(here, "Attempts with", refresh), list.controls), count, place,
+      ] : [element("p", { class: "remark" }, "Nothing is known of a search: the sheets of generated splits say it (",
+        element("code", {}, "challenger-bench sheets --split adv"), "), then write the leaderboard again.")]),
     ],
   };
 };

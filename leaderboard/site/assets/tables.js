@@ -6,6 +6,7 @@ const LONG = 28, SHORT = 11;
 const FIGURES = "figures";
 /** Tables by place, light ...: one kind at a time, all of its slices or one; the kind is named by a column. */
 const SLICES = "slices", KIND = 2, EVERY = "all";
+const STEPS_OF = { ArrowLeft: -1, ArrowRight: 1, ArrowUp: -1, ArrowDown: 1 };
 /** How much smaller than drawn a figure may be. */
 const LEAST_SIZE = 0.97;
 /** Columns that name planners, beside the first one. */
@@ -73,14 +74,11 @@ function listenToCells(body, known) {
 
 /** @param {HTMLTableCellElement} cell @param {string} key @returns {HTMLTableCellElement|undefined} The next number. */
 function neighbour(cell, key) {
-  const row = cell.parentElement;
-  if (!(row instanceof HTMLTableRowElement) || !row.parentElement) return undefined;
-  const across = /^Arrow(Left|Right)$/.test(key);
-  if (!across && !/^Arrow(Up|Down)$/.test(key)) return undefined;
-  const rows = /** @type {HTMLTableRowElement[]} */ ([...row.parentElement.children]);
-  const line = across ? [...row.cells] : rows.filter((each) => !each.hidden).map((each) => each.cells[cell.cellIndex]);
-  const numbers = line.filter((each) => each === cell || each.dataset.facts !== undefined);
-  return numbers[numbers.indexOf(cell) + (key === "ArrowRight" || key === "ArrowDown" ? 1 : -1)];
+  const [step, row, body] = [own(STEPS_OF, key), cell.closest("tr"), cell.closest("tbody")];
+  if (!step || !row || !body) return undefined;
+  const column = [...body.rows].filter((each) => !each.hidden).map((each) => each.cells[cell.cellIndex]);
+  const numbers = (/Left|Right/.test(key) ? [...row.cells] : column).filter((each) => each.dataset.facts !== undefined);
+  return numbers[numbers.indexOf(cell) + step];
 }
 
 // --- one table ---------------------------------------------------------------------------------------------------------
@@ -139,13 +137,12 @@ function tableBody(table, link) {
     body.append(element("tr", {}, row.map((text, column) => {
       const long = text.length > LONG ? "long" : null;
       if (column === 0) return element("th", { scope: "row", class: long }, cellContent(table, row, column, link));
-      const kind = [column < table.textColumns ? "text" : text === UNDEFINED ? "undefined" : null,
-        edges.has(column) ? "edge" : null, long].filter(Boolean).join(" ") || null;
+      const kind = classes(column < table.textColumns ? "text" : text === UNDEFINED && "undefined",
+        edges.has(column) && "edge", long);
       const facts = table.cells?.[index][column];
       if (!facts) return element("td", { class: kind }, cellContent(table, row, column, link));
-      known.push(facts);
-      const first = known.length === 1;
-      return element("td", { class: kind, "data-facts": known.length - 1, tabindex: first ? 0 : -1 }, text);
+      const number = known.push(facts) - 1;
+      return element("td", { class: kind, "data-facts": number, tabindex: number ? -1 : 0 }, text);
     })));
   }
   listenToCells(body, known);
@@ -162,17 +159,15 @@ function tableHead(table) {
 }
 
 /** A table with its title, files and notes. @param {TableData} table @param {{notes?: string[], here?: Route, link?:
- * string}} [state] Notes to show, if not all; the page whose address holds the order, as `column.asc.id` or
- * `column.desc.id`; test id of its planners. @returns {{node: HTMLElement, filter: (fits: (text: string, row:
- * string[]) => boolean) => void}} */
+ * string}} [state] The page whose address holds the order, as `column.asc.id`; test id of its planners.
+ * @returns {{node: HTMLElement, filter: (fits: (text: string, row: string[]) => boolean) => void}} */
 function tableView(table, { notes = table.notes, here, link } = {}) {
   const body = tableBody(table, link);
   const rows = [...body.rows];
   const edges = groupEdges(table);
   const heads = table.columns.map((name, column) => element("th", {
     scope: "col", "aria-sort": "none",
-    class: [column < table.textColumns ? "text" : "", edges.has(column) ? "edge" : "", name.length > SHORT ? "long" : ""]
-      .filter(Boolean).join(" ") || null,
+    class: classes(column < table.textColumns && "text", edges.has(column) && "edge", name.length > SHORT && "long"),
   }, element("button", { type: "button", onclick: () => turn(column) }, name)));
 
   /** @param {number|null} column @param {boolean} descending */
@@ -206,9 +201,7 @@ function tableView(table, { notes = table.notes, here, link } = {}) {
   return {
     node,
     filter(fits) {
-      rows.forEach((row, index) => {
-        row.hidden = !fits(table.rows[index].join(" ").toLowerCase(), table.rows[index]);
-      });
+      table.rows.forEach((row, index) => { rows[index].hidden = !fits(row.join(" ").toLowerCase(), row); });
       nothing.hidden = rows.some((row) => !row.hidden);
     },
   };
@@ -258,8 +251,7 @@ pages.tables = (here) => {
       element("p", { class: "lead" }, "Every number stands under the protocol that judged it; two protocols never ",
         "share a column. Point at a number, tap it or go to it with the arrow keys: it says its sample count, 95 % ",
         "interval and record."),
-      element("div", { class: "toolbar" }, pageChoice(here, "Data set", "data", names), sliced.choices,
-        field),
+      element("div", { class: "toolbar" }, pageChoice(here, "Data set", "data", names), sliced.choices, field),
       element("div", { class: "tabs", role: "navigation", "aria-label": "Groups of tables" }, groups.map((each) =>
         element("a", {
           href: address(["tables"], { data: names.length > 1 ? data : null, group: each, q: here.params.get("q") }),

@@ -180,7 +180,7 @@ interface Scene {
   body: Body;
   ego: (Body & { x: Float64Array; y: Float64Array; yaw: Float64Array }) | null;
   agents: Agent[];
-  ground: { areas: Record<string, Path2D>; dividers: Map<string, Path2D> };
+  ground: { areas: Record<string, Path2D>; dividers: [string, Path2D][] };
   recorded: Float64Array[];
   recordedPath: Float64Array | null;
   contact: { t: number; x: number; y: number } | null;
