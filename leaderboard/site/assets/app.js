@@ -14,8 +14,8 @@ class AddressError extends Error {}
 const site = () => window.CHALLENGER;
 
 // --- elements ----------------------------------------------------------------------------------------------------------
-/** Gives a node what is neither null, undefined nor false; text from records only ever becomes text. @template {Element} T
- * @param {T} node @param {Record<string, any>} attributes Functions are listeners. @param {any[]} children @returns {T} */
+/** Gives a node what is there; text from records only ever becomes text. @template {Element} T @param {T} node
+ * @param {Record<string, any>} attributes Functions are listeners. @param {any[]} children @returns {T} */
 function fill(node, attributes, children) {
   for (const [name, value] of Object.entries(attributes)) {
     if ((value ?? false) === false) continue;
@@ -53,8 +53,7 @@ const unique = (values) => [...new Set(values)];
 /** @param {number} found @param {number} of @param {string} noun @returns {string} How many of a list are shown. */
 const countLine = (found, of, noun) => `${found === of ? "" : `${found} of `}${of} ${noun}${of === 1 ? "" : "s"}`;
 
-/** A picture that there is for light pages and for dark ones.
- * @param {{light: string, dark: string, alt: string, width?: number|null, height?: number|null}} of */
+/** @param {{light: string, dark: string, alt: string, width?: number|null, height?: number|null}} of For each theme. */
 const picture = ({ light, dark, ...attributes }) => element("img", {
   src: theme() === "dark" ? dark : light, "data-light": light, "data-dark": dark, loading: "lazy", decoding: "async",
   ...attributes });
@@ -79,7 +78,8 @@ function address(parts, params = {}) {
 function route(hash) {
   const [path, ...query] = hash.replace(/^#\/?/, "").split("?");
   try {
-    return { parts: path.split("/").filter(Boolean).map(decodeURIComponent), params: new URLSearchParams(query.join("?")) };
+    const parts = path.split("/").filter(Boolean).map(decodeURIComponent);
+    return { parts, params: new URLSearchParams(query.join("?")) };
   } catch {
     throw new AddressError("This address is damaged: it has a % that stands for nothing.");
   }
@@ -99,8 +99,7 @@ function asked(here, name, values) {
 }
 
 // --- controls ----------------------------------------------------------------------------------------------------------
-/** A list to choose from. @param {(string|[string, string])[]} choices Values, or values with what is shown.
- * @param {string} value @param {(value: string) => void} change @param {Record<string, any>} attributes */
+/** @param {Choices} choices @param {string} value @param {(value: string) => void} change @param {any} attributes */
 function selectOf(choices, value, change, attributes) {
   const options = choices.map((each) => [each].flat()).map(([name, shown = name]) =>
     element("option", { value: name, selected: name === value }, shown));
@@ -109,10 +108,11 @@ function selectOf(choices, value, change, attributes) {
 }
 
 /** @param {string} label @param {HTMLElement} control @param {string} [kind] */
-const field = (label, control, kind = "field") => element("label", { class: kind }, element("span", {}, label), control);
+const field = (label, control, kind = "field") =>
+  element("label", { class: kind }, element("span", {}, label), control);
 
 /** A list whose choice stands in the address. @param {Route} here @param {string} label @param {string} name
- * @param {(string|[string, string])[]} choices @param {() => void} again Shows what is chosen. */
+ * @param {Choices} choices @param {() => void} again Shows what is chosen. */
 const placedChoice = (here, label, name, choices, again) => field(label, selectOf(choices, here.params.get(name) ?? "",
   (value) => { remember(here, { [name]: value }); again(); }, { "data-testid": `filter-${name}` }));
 
@@ -121,8 +121,7 @@ const placedChoice = (here, label, name, choices, again) => field(label, selectO
 const pageChoice = (here, label, name, values) =>
   (values.length < 2 ? null : placedChoice(here, label, name, values, show));
 
-/** A field to filter by; `/` leads to it.
- * @param {Route} here @param {string} label @param {(text: string) => void} change */
+/** `/` leads to it. @param {Route} here @param {string} label @param {(text: string) => void} change */
 function filterField(here, label, change) {
   const input = element("input", {
     type: "search", value: here.params.get("q") ?? "", autocomplete: "off", spellcheck: "false",
@@ -176,25 +175,21 @@ DARK.addEventListener("change", () => keptTheme() ?? showTheme());
 // --- which page --------------------------------------------------------------------------------------------------------
 /** @type {Record<string, PageMaker>} By the first part of the address. */
 const pages = {};
-/** @type {Record<string, string>} Pages that belong to another one of the menu. */
+/** Pages that belong to another one of the menu. */
 const PLACES = { model: "models", scene: "scenes", compare: "scenes", drive: "scenes" };
 let shownPage = /** @type {Page|null} */ (null);
 let shownPath = /** @type {string|null} */ (null);
 let followed = false;
-/** @type {Map<string, number>} */
-const scrolled = new Map();
+const scrolled = /** @type {Map<string, number>} */ (new Map());
+
+/** @param {string} sentence */
+const errorLine = (sentence) => element("p", { "data-testid": "error", role: "alert", class: "error" }, sentence);
 
 /** @param {string} sentence @returns {Page} */
-function errorPage(sentence) {
-  return {
-    title: "Not found",
-    nodes: [
-      element("h1", {}, "There is nothing here"),
-      element("p", { "data-testid": "error", role: "alert", class: "error" }, sentence),
-      element("p", {}, element("a", { href: "#/" }, "To the overview")),
-    ],
-  };
-}
+const errorPage = (sentence) => ({
+  title: "Not found",
+  nodes: [element("h1", {}, "There is nothing here"), errorLine(sentence), element("a", { href: "#/" }, "To the overview")],
+});
 
 /** @returns {Page} */
 function pageOfAddress() {
@@ -220,9 +215,10 @@ function show() {
   main.classList.remove("settled");
   const path = location.hash.split("?")[0];
   const same = path === shownPath;
-  const held = same ? document.activeElement?.getAttribute("data-testid") : null;
+  const held = same && document.activeElement?.getAttribute("data-testid");
   const place = same ? scrollY : followed ? 0 : scrolled.get(location.hash) ?? 0;
   shownPage?.destroy?.();
+  hideNote();
   shownPage = pageOfAddress();
   main.replaceChildren(...shownPage.nodes.filter((node) => node !== null));
   shownPage.ready?.();
@@ -248,7 +244,10 @@ function show() {
 document.addEventListener("DOMContentLoaded", () => {
   showTheme(theme());
   document.querySelector("[data-testid=theme-toggle]")?.addEventListener("click", switchTheme);
-  document.querySelector(".skip")?.addEventListener("click", (event) => { event.preventDefault(); part("main").focus(); });
+  document.querySelector(".skip")?.addEventListener("click", (event) => {
+    event.preventDefault();
+    part("main").focus();
+  });
   document.addEventListener("click", (event) => {
     if (event.target instanceof Element && event.target.closest("a[href^='#/']")) {
       scrolled.set(location.hash, scrollY);

@@ -3,6 +3,7 @@
 
 /** Colours that colour-blind readers tell apart (Okabe and Ito), always with a shape. */
 const SERIES = ["var(--blue)", "var(--purple)", "var(--gold)", "var(--text)", "var(--sky)", "var(--brown)"];
+const SERIES_SHAPES = ["square", "circle", "triangle", "diamond"];
 const WORST_SHOWN = 12;
 
 pages.models = (here) => {
@@ -21,7 +22,6 @@ pages.models = (here) => {
       ...nodes,
       models.length ? null : element("p", {}, "There are no run records."),
     ],
-    destroy: () => hideNote(),
   };
 };
 
@@ -48,7 +48,6 @@ pages.model = (here) => {
       ...model.runs.map((run) => element("details", { class: "run" }, element("summary", {}, run.title),
         factList(run.facts))),
     ],
-    destroy: () => hideNote(),
   };
 };
 
@@ -66,8 +65,7 @@ function worstScenes(model, protocol) {
   return element("div", { class: "cards" }, found.map((scene) => sceneCard(scene, protocol, model.name)));
 }
 
-/** @param {string} name @param {TableData} table Rows of one planner, by split. @returns {HTMLElement} Some of its
- * columns, drawn: a line for each split. */
+/** Some columns, a line for each split. @param {string} name @param {TableData} table Rows of one planner, by split. */
 function chart(name, table) {
   const columns = table.chart ?? [];
   const split = table.columns.indexOf("split");
@@ -95,19 +93,17 @@ function chart(name, table) {
         drawn("text", { x: left - 6, y: y(tick) + 4, "text-anchor": "end" }, `${tick} %`)]),
       columns.map((column, index) => drawn("text", { x: middle(index), y: 170, "text-anchor": "middle" },
         table.columns[column].replace(/^col\. /, ""))),
-      lines.map((line, series) => drawn("g", { class: "series", stroke: seriesColour(series), fill: seriesColour(series) },
+      lines.map((line, series) => drawn("g", { class: "series", stroke: SERIES[series % SERIES.length] },
         drawn("polyline", { fill: "none", points: line.map((each, index) => (each
           ? `${x(index, series)},${y(each.value)}` : "")).join(" ") }),
         line.map((each, index) => each && [
           drawn("line", { x1: x(index, series), x2: x(index, series), y1: y(each.low), y2: y(each.high), class: "whisker" }),
-          outline(seriesShape(series), {}, x(index, series), y(each.value))])))),
+          seriesMark(series, x(index, series), y(each.value))])))),
     element("figcaption", {}, `${table.title}: `, table.rows.map((row, series) =>
-      element("span", { class: "key" }, drawn("svg", { viewBox: "-7 -7 14 14", width: 14, height: 14, "aria-hidden": "true" },
-        outline(seriesShape(series), { fill: seriesColour(series) })), row[split]))));
+      element("span", { class: "key" }, drawn("svg", { viewBox: "-7 -7 14 14", "aria-hidden": "true" },
+        seriesMark(series)), row[split]))));
 }
 
-/** @param {number} series */
-const seriesColour = (series) => SERIES[series % SERIES.length];
-
-/** @param {number} series */
-const seriesShape = (series) => ["square", "circle", "triangle", "diamond"][series % 4];
+/** @param {number} series @param {number} [x] @param {number} [y] @returns {Element} Its mark. */
+const seriesMark = (series, x, y) => outline(SERIES_SHAPES[series % SERIES_SHAPES.length],
+  { fill: SERIES[series % SERIES.length] }, x, y);

@@ -18,12 +18,10 @@ const TOGGLES = [
 ];
 const TIMES_S = [1, 2, 5, 10, 20, 60, 300], MOST_TIMES = 12;
 
-/** Puts a scene in its place once its script is there.
- * @param {HTMLElement} place @param {string} key @param {(scene: Scene) => {destroy: () => void}} make
- * @param {(sentence: string) => void} otherwise What to do without one. @returns {{destroy: () => void}} */
+/** Makes a viewer once a scene's script is there. @param {HTMLElement} place @param {string} key
+ * @param {(scene: Scene) => Viewer} make @param {(sentence: string) => void} otherwise What to do without one. */
 function playIn(place, key, make, otherwise) {
-  /** @type {{destroy: () => void}|null} */
-  let made = null;
+  let made = /** @type {Viewer|null} */ (null);
   let gone = false;
   place.replaceChildren(element("p", { class: "cp-loading", role: "status" }, "Loading the scene …"));
   loadScene(key).then((scene) => {
@@ -39,22 +37,20 @@ function playIn(place, key, make, otherwise) {
 
 /** A scene that is drawn when the browser paints, and played by the clock. */
 class Viewer {
-  /** @type {BirdsEye[]} */
-  views = [];
-  /** @type {Cameras|null} */
-  cameras = null;
-  /** Names of planners; in a comparison from left to right. @type {string[]} */
-  chosen = [];
-  /** @type {Record<string, boolean>} */
-  show = { recorded: true, bodies: true };
-  /** Since when it plays, and from where. @type {{now: number, seconds: number}|null} */
-  tick = null;
+  views = /** @type {BirdsEye[]} */ ([]);
+  cameras = /** @type {Cameras|null} */ (null);
+  /** Names of planners; in a comparison from left to right. */
+  chosen = /** @type {string[]} */ ([]);
+  show = /** @type {Record<string, boolean>} */ ({ recorded: true, bodies: true });
+  /** Since when it plays, and from where. */
+  tick = /** @type {{now: number, seconds: number}|null} */ (null);
   stop = new AbortController();
   playing = false;
   speed = 1;
   frame = 0;
   first = 0;
   drawing = 0;
+  timer = 0;
   playButton = element("button", { type: "button", onclick: () => this.toggle() }, "▶ Play");
 
   /** @param {HTMLElement} place @param {Scene} scene @param {string|null} protocol */
@@ -69,6 +65,7 @@ class Viewer {
   destroy() {
     this.stop.abort();
     this.playing = false;
+    clearTimeout(this.timer);
     cancelAnimationFrame(this.drawing);
     for (const view of [...this.views, this.cameras]) view?.destroy();
     this.place.replaceChildren();
@@ -148,10 +145,9 @@ function checkbox(checked, attributes, change) {
 
 /** A player in an element of the page, whose content is replaced. */
 class Player extends Viewer {
-  /** @type {Map<string, HTMLElement>} By planner. */
-  tracks = new Map();
-  /** @type {HTMLSelectElement[]} */
-  choosers = [];
+  tracks = /** @type {Map<string, HTMLElement>} */ (new Map());
+  choosers = /** @type {HTMLSelectElement[]} */ ([]);
+  cameraSelect = /** @type {HTMLSelectElement|null} */ (null);
   lanes = element("div", { class: "cp-lanes" });
   verdicts = element("div", { class: "cp-verdicts", "data-testid": "player-verdicts", "aria-live": "polite" });
   time = element("output", { class: "cp-time", "data-testid": "player-time" });
@@ -159,19 +155,17 @@ class Player extends Viewer {
     oninput: () => this.seek(Number(this.scrub.value)) });
   turnButton = iconButton("▲ heading up", "Turn: heading or north up", () => this.turn(), "player-turn");
   show = Object.fromEntries(TOGGLES.map(([name, , on]) => [name, on]));
-  /** @type {HTMLSelectElement|null} */
-  cameraSelect = null;
   told = "";
-  timer = 0;
 
-  /** @param {HTMLElement} place @param {Scene} scene With frames. @param {PlayerOptions} options What is shown at first. */
+  /** @param {HTMLElement} place @param {Scene} scene @param {PlayerOptions} options What is shown at first. */
   constructor(place, scene, options) {
     super(place, scene, scene.protocols.find((name) => name === options.protocol) ?? scene.protocols[0] ?? null);
     this.options = options;
     const names = scene.models.map((model) => model.name);
     const asked = unique(options.models ?? []).filter((name) => names.includes(name));
     const wanted = asked.length ? asked : scene.shown[this.judge()] ?? names.slice(0, 3);
-    this.chosen = options.compare ? unique([...asked, ...names]).slice(0, 2) : names.filter((name) => wanted.includes(name));
+    this.chosen = options.compare ? unique([...asked, ...names]).slice(0, 2)
+      : names.filter((name) => wanted.includes(name));
     this.compare = Boolean(options.compare) && this.chosen.length > 0;
     this.frame = frameAt(scene, options.t ?? Math.max(decisive(scene, this.shown(), this.judge()) - BEFORE_S, 0));
     this.scrub.max = String(this.last);
@@ -182,11 +176,6 @@ class Player extends Viewer {
     document.addEventListener("keydown", (event) => this.press(event), { signal });
     document.addEventListener("visibilitychange", () => { this.tick = null; }, { signal });
     this.tell();
-  }
-
-  destroy() {
-    super.destroy();
-    clearTimeout(this.timer);
   }
 
   /** Number of the protocol; -1 if nothing was judged. */
@@ -209,7 +198,8 @@ class Player extends Viewer {
   /** @param {boolean} shift @returns {Record<string, () => void>} What keys do. */
   actions(shift) {
     /** @param {number} direction */
-    const step = (direction) => () => (shift ? this.stepSample(direction) : this.seek(this.frame + direction));
+    const step = (direction) => () => (shift ? this.leap([...this.scene.samples.keys()], direction, Infinity * direction)
+      : this.seek(this.frame + direction));
     /** @param {number} x @param {number} y */
     const nudge = (x, y) => this.each((view) => view.move(NUDGE_PX * x, NUDGE_PX * y));
     const [nearer, farther] = [ZOOM, 1 / ZOOM].map((factor) => this.each((view) => view.zoom(factor)));
@@ -234,21 +224,17 @@ class Player extends Viewer {
     this.changed();
   }
 
-  /** @param {number} direction To the sample before or after. */
-  stepSample(direction) {
-    this.seek(this.nearest([...this.scene.samples.keys()], direction) ?? (direction > 0 ? Infinity : 0));
+  /** To the frame before or after of these samples. @param {number[]} samples @param {number} direction
+   * @param {number} otherwise */
+  leap(samples, direction, otherwise) {
+    const frames = samples.map((sample) => this.scene.samples[sample].frame).sort((a, b) => a - b);
+    const [before, after] = [frames.findLast((frame) => frame < this.frame), frames.find((frame) => frame > this.frame)];
+    this.seek((direction > 0 ? after : before) ?? otherwise);
   }
 
-  /** @param {number} direction To the collision before or after, of any planner that is shown. */
+  /** To the collision before or after, of any planner that is shown. @param {number} direction */
   jump(direction) {
-    const samples = this.shown().flatMap((model) => collisions(this.scene, model, this.judge()));
-    this.seek(this.nearest(samples.sort((a, b) => a - b), direction) ?? this.frame);
-  }
-
-  /** @param {number[]} samples In order. @param {number} direction @returns {number|undefined} Frame of the next one. */
-  nearest(samples, direction) {
-    const frames = samples.map((sample) => this.scene.samples[sample].frame);
-    return direction > 0 ? frames.find((frame) => frame > this.frame) : frames.findLast((frame) => frame < this.frame);
+    this.leap(this.shown().flatMap((model) => collisions(this.scene, model, this.judge())), direction, this.frame);
   }
 
   turn() {
@@ -306,7 +292,7 @@ class Player extends Viewer {
     });
   }
 
-  // --- elements --------------------------------------------------------------------------------------------------------
+  // --- elements ------------------------------------------------------------------------------------------------------
   build() {
     const views = this.compare ? this.chosen.map((_, slot) => this.buildView(slot)) : [this.buildView(null)];
     this.turnButton.hidden = !this.scene.ego;
@@ -424,7 +410,7 @@ class Player extends Viewer {
     const there = TOGGLES.filter(([name]) => name !== "considered" || this.scene.considered.length);
     return element("div", { class: "cp-choices", role: "group", "aria-label": "What is drawn" },
       there.map(([name, words]) => element("label", {}, checkbox(this.show[name],
-        { "data-testid": `player-show-${name}` }, (checked) => { this.show[name] = checked; this.draw(); }), ` ${words}`)),
+        { "data-testid": `player-show-${name}` }, (on) => { this.show[name] = on; this.draw(); }), ` ${words}`)),
       element("span", { class: "cp-quiet" }, this.scene.adversarial ? MARKS_BY_WHOM : MARKS));
   }
 }

@@ -11,8 +11,8 @@ class BirdsEye extends GroundView {
   /** @type {ViewState} */
   state = { frame: 0, protocol: null, chosen: [], show: {} };
   sample = -1;
-  /** Left, middle and width of what is written. @type {[number, number, number][]} */
-  labels = [];
+  /** Left, middle and width of what is written. */
+  labels = /** @type {[number, number, number][]} */ ([]);
 
   /** @param {ViewState} state */
   draw(state) {
@@ -97,8 +97,7 @@ class BirdsEye extends GroundView {
     this.announce(contact.x, contact.y, "contact", contact.t - frames[this.state.frame], true);
   }
 
-  /** Ways of ego and adversaries: thin where they were, thick with a dot each half second where they go. Of a drive also
-   * where the recorded ego went. */
+  /** Ways of ego and adversaries: thin where they were, thick with a dot each half second where they go. */
   drawWays() {
     const { scene, state, colours } = this;
     const { recordedPath, ego } = scene;
@@ -141,15 +140,14 @@ class BirdsEye extends GroundView {
 
   drawAgents() {
     const { colours, scene, state } = this;
-    const seen = scene.agents.flatMap((agent) => [this.boxOf(agent, state.frame) ?? []].flat().map((box) => ({ agent, box })));
+    const seen = scene.agents.flatMap((agent) =>
+      [this.boxOf(agent, state.frame) ?? []].flat().map((box) => ({ agent, box })));
     for (const kind of ["thing", "person", "cycle", "vehicle"]) {
       const boxes = seen.filter(({ agent }) => agent.kind === kind && !agent.adversary).map(({ box }) => box);
       this.boxes(boxes, colours[kind], kind === "vehicle" || kind === "cycle");
     }
     for (const { agent, box } of seen.filter((each) => each.agent.adversary)) {
-      this.boxes([box], colours.adversary, false);
-      this.trace([box]);
-      this.stroke(colours.ink, 2);
+      this.boxes([box], colours.adversary, false, 2);
       this.write(agent.letter, ...this.pixel(box.x, box.y), Math.max(10, Math.min(16, 1.4 * this.scale)), "#ffffff");
     }
   }
@@ -157,10 +155,7 @@ class BirdsEye extends GroundView {
   drawEgo() {
     const { colours, scene } = this;
     const box = this.egoBox(this.state.frame);
-    if (!box) return;
-    this.boxes([box], colours.ego, true);
-    this.trace([box]);
-    this.stroke(colours.ink, scene.ego ? 2 : 1);
+    if (box) this.boxes([box], colours.ego, true, scene.ego ? 2 : 1);
   }
 
   /** @param {number} frame @returns {Box|null} The recorded body; without a sheet that of any planner's start. */
@@ -231,7 +226,7 @@ class BirdsEye extends GroundView {
   }
 
   /** A star with what is there and when, inside the canvas and clear of what is written; faint if it does not count.
-   * @param {number} x @param {number} y Metres. @param {string} what @param {number} left Seconds. @param {boolean} counts */
+   * @param {number} x @param {number} y @param {string} what @param {number} left Seconds. @param {boolean} counts */
   announce(x, y, what, left, counts) {
     const { context, colours } = this;
     const [across, down] = this.pixel(x, y);

@@ -6,22 +6,18 @@ const AROUND = 24;
 
 /** Shows the picture in force of all cameras or of one; loads those around it before they are needed. */
 class Cameras {
-  /** @type {Scene["cameras"][0]|null} */
-  camera = null;
+  camera = /** @type {Scene["cameras"][0]|null} */ (null);
   /** Place of the picture that is shown. */
   at = -1;
-  /** @type {Map<number, HTMLImageElement>} */
-  images = new Map();
+  images = /** @type {Map<number, HTMLImageElement>} */ (new Map());
 
   /** @param {HTMLCanvasElement} canvas @param {Scene} scene */
   constructor(canvas, scene) {
     this.canvas = canvas;
     this.scene = scene;
     this.context = contextOf(canvas);
-    this.size = [
-      Math.max(...scene.cameras.map(({ left, width }) => left + width)),
-      Math.max(...scene.cameras.map(({ top, height }) => top + height)),
-    ];
+    this.size = scene.cameras.reduce(([wide, high], { left, top, width, height }) =>
+      [Math.max(wide, left + width), Math.max(high, top + height)], [0, 0]);
     this.resized = new ResizeObserver(() => this.paint());
     this.resized.observe(canvas);
     this.choose(null);

@@ -4,22 +4,18 @@
 const CENTIMETRE = 0.01, DECIMETRE = 0.1, MILLIRADIAN = 0.001, CENTIRADIAN = 0.01;
 const SCENES_KEPT = 6;
 const STEPS = 6, STEP_S = 0.5;
-const KEY = /^[0-9a-f]{16}$/;
 
-/** @param {(number|null)[]} steps @param {number} count @param {number} unit
- * @returns {Float64Array} Values; NaN where there is none. */
+/** @param {(number|null)[]} steps @param {number} count @param {number} unit @returns {Float64Array} NaN for null. */
 function unpack(steps, count, unit) {
-  const values = new Float64Array(count);
   let now = 0;
-  for (let at = 0; at < count; at++) {
+  return Float64Array.from({ length: count }, (_, at) => {
     const step = at < steps.length ? steps[at] : 0;
-    if (step !== null) now += step;
-    values[at] = step === null ? NaN : now * unit;
-  }
-  return values;
+    now += step ?? 0;
+    return step === null ? NaN : now * unit;
+  });
 }
 
-/** @param {number[]} steps x and y in turn. @param {number} unit @returns {Float64Array} The same in metres from x, y. */
+/** @param {number[]} steps x and y in turn. @param {number} unit @returns {Float64Array} Metres, from x, y. */
 function unpackPath(steps, unit, x = 0, y = 0) {
   const now = [Math.round(x / unit), Math.round(y / unit)];
   return Float64Array.from(steps, (step, at) => (now[at % 2] += step) * unit);
@@ -57,8 +53,7 @@ function agentKind(category) {
   return /^(human|animal)/.test(category) ? "person" : "thing";
 }
 
-/** @param {any} raw @returns {Agent[]} The objects of a scene; in a drive an adversary is where it went. Adversaries have
- * a letter, with a number if there are several. */
+/** @param {any} raw @returns {Agent[]} In a drive an adversary is where it went. Adversaries have letters. */
 function agentsOf({ agents, moved }) {
   const there = moved ? [...agents.filter((/** @type {any} */ { id }) => id !== moved.id), moved] : agents;
   const several = there.filter((/** @type {any} */ { adversary }) => adversary).length > 1;
@@ -114,8 +109,7 @@ function forecastOf(raw) {
 
 /** @param {any} raw @param {Body} body @returns {Planner} Its samples are unpacked when they are first asked for. */
 function plannerOf({ name, shown, first, outcome, samples }, body) {
-  /** @type {Map<number, Plan>} */
-  const made = new Map();
+  const made = /** @type {Map<number, Plan>} */ (new Map());
   return {
     name, shown, first, outcome,
     plan(sample) {
@@ -178,9 +172,7 @@ async function loadScene(key) {
 
 /** By a script tag: pages from disk may not fetch. @param {string} key @returns {Promise<any>} The script's value. */
 function loadScript(key) {
-  /** @type {Record<string, any>} */
-  const store = (window.CHALLENGER_SCENES = window.CHALLENGER_SCENES ?? {});
-  if (!KEY.test(key)) return Promise.reject(new LoadError(`“${key}” is not the key of a scene.`));
+  const store = (window.CHALLENGER_SCENES ??= {});
   if (Object.hasOwn(store, key)) return Promise.resolve(store[key]);
   return new Promise((resolve, reject) => {
     const script = element("script", { src: `data/scenes/${key}.js` });

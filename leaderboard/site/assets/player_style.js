@@ -47,7 +47,8 @@ const SHAPES = Object.keys(OUTLINES).filter((shape) => shape !== "contact");
 function styleOf(name) {
   const place = Math.max(site().models.findIndex((model) => model.name === name), 0);
   const at = place % COLOURS.light.length;
-  return { place: at, colour: COLOURS[theme()][at], dash: DASHES[place % DASHES.length], shape: SHAPES[place % SHAPES.length] };
+  const [dash, shape] = [DASHES[place % DASHES.length], SHAPES[place % SHAPES.length]];
+  return { place: at, colour: COLOURS[theme()][at], dash, shape };
 }
 
 /** @param {CanvasRenderingContext2D} context @param {string} shape @param {number} x @param {number} y @param {number} size */
@@ -57,14 +58,15 @@ function traceShape(context, shape, x, y, size) {
 }
 
 /** @param {string} shape @param {Record<string, any>} attributes @returns {Element} Ten units high and wide. */
-const outline = (shape, attributes = {}, x = 0, y = 0) =>
-  drawn("polygon", { points: OUTLINES[shape].map(([dx, dy]) => [x + 5 * dx, y + 5 * dy].join()).join(" "), ...attributes });
+const outline = (shape, attributes = {}, x = 0, y = 0) => drawn("polygon",
+  { points: OUTLINES[shape].map(([dx, dy]) => `${x + 5 * dx},${y + 5 * dy}`).join(" "), ...attributes });
 
 /** @param {string} name @returns {Element} A piece of a planner's line. */
 function swatch(name) {
   const { place, dash, shape } = styleOf(name);
   const colour = `light-dark(${COLOURS.light[place]}, ${COLOURS.dark[place]})`;
-  return drawn("svg", { class: "cp-swatch", viewBox: "-13 -7 26 14", "aria-hidden": "true", stroke: colour, fill: colour },
+  const paint = { stroke: colour, fill: colour };
+  return drawn("svg", { class: "cp-swatch", viewBox: "-13 -7 26 14", "aria-hidden": "true", ...paint },
     drawn("line", { x1: -13, x2: 13, "stroke-width": 2, "stroke-dasharray": dash.join(" ") || null }), outline(shape));
 }
 

@@ -61,9 +61,7 @@ class GroundView {
   }
 
   /** How far down the canvas the ego is: with its heading up, what is ahead matters more. */
-  share() {
-    return this.headingUp ? 0.62 : 0.5;
-  }
+  share = () => (this.headingUp ? 0.62 : 0.5);
 
   listen() {
     const { canvas } = this;
@@ -160,8 +158,9 @@ class GroundView {
 
   /** @param {Box} box @returns {(along: number, aside: number) => [number, number]} Pixels, by shares of its sides. */
   inBox({ x, y, yaw, length, width }) {
-    const [ax, ay, bx, by] = [length * Math.cos(yaw), length * Math.sin(yaw), -width * Math.sin(yaw), width * Math.cos(yaw)];
-    return (along, aside) => this.pixel(x + along * ax + aside * bx, y + along * ay + aside * by);
+    const [cos, sin] = [Math.cos(yaw), Math.sin(yaw)];
+    return (along, aside) => this.pixel(x + along * length * cos - aside * width * sin,
+      y + along * length * sin + aside * width * cos);
   }
 
   /** @param {Box[]} boxes Begins a path of their outlines. */
@@ -174,18 +173,18 @@ class GroundView {
     }
   }
 
-  /** @param {Box[]} boxes @param {string} colour @param {boolean} noses A light wedge at the front of each. */
-  boxes(boxes, colour, noses) {
-    if (!boxes.length) return;
+  /** @param {Box[]} boxes @param {string} colour @param {boolean} noses A light wedge at the front of each.
+   * @param {number} edge How wide their outlines in ink are. */
+  boxes(boxes, colour, noses, edge = 0) {
     const { context, colours } = this;
     this.trace(boxes);
     this.paint(colour);
-    if (this.scale < 4) return;
-    this.stroke(colours.paper);
-    if (!noses) return;
+    if (edge) this.stroke(colours.ink, edge);
+    else if (this.scale >= 4) this.stroke(colours.paper);
+    if (!noses || this.scale < 4) return;
     context.beginPath();
     for (const box of boxes) traceLine(context, [0.2, 0.3, 0.42, 0, 0.2, -0.3], this.inBox(box));
-    context.stroke();
+    this.stroke(colours.paper);
   }
 
   /** @param {string} text @param {number} x @param {number} y @param {number} size @param {string} colour

@@ -15,8 +15,8 @@ function frameAt({ frames }, seconds) {
   return apart.indexOf(apart.reduce((least, each) => Math.min(least, each), Infinity));
 }
 
-/** @param {Scene} scene @param {Planner[]} models @param {number} judge Number of the protocol.
- * @returns {number} What it is all about, seconds: a first contact, else when an adversary is closest. */
+/** Seconds of a first contact, else when an adversary is closest. @param {Scene} scene @param {Planner[]} models
+ * @param {number} judge Number of the protocol. @returns {number} */
 function decisive(scene, models, judge) {
   const first = Math.min(...models.map((model) => model.first[judge] ?? Infinity));
   return Number.isFinite(first) ? first : scene.closest ?? 0;
@@ -50,17 +50,15 @@ function fillTrack(track, scene, model, protocol, seek) {
     type: "button", tabindex: "-1", class: `cp-mark ${kind}`, title, "aria-label": title, ...data,
     onclick: () => seek(scene.samples[sample].frame),
   }, sign), scene, scene.samples[sample].frame);
-  const failed = [...scene.samples.keys()].filter((sample) => model.failed(sample) !== undefined)
-    .map((sample) => mark("?", sample, `${name} failed at ${sampleTime(scene, sample)}`, "cp-failed", {}));
-  const hits = collisions(scene, model, judge).flatMap((sample) => {
-    const verdict = model.verdict(sample, judge);
-    if (!verdict) return [];
+  track.replaceChildren(...[...scene.samples.keys()].flatMap((sample) => {
+    const [verdict, at] = [model.verdict(sample, judge), sampleTime(scene, sample)];
+    if (model.failed(sample) !== undefined) return mark("?", sample, `${name} failed at ${at}`, "cp-failed", {});
+    if (!verdict?.counted || verdict.contact === null) return [];
     const [sign, kind, , , sentence] = site().legend[verdict.mark];
-    const words = `${name}: the plan made at ${sampleTime(scene, sample)} ${sentence} ${verdict.words} later (${protocol})`;
-    return [mark(sign, sample, words, `cp-hit cp-${kind}`, { "data-testid": "player-collision", "data-model": name,
-      "data-frame": scene.samples[sample].frame, "data-contact": verdict.contact, "data-mark": verdict.mark })];
-  });
-  track.replaceChildren(...failed, ...hits);
+    const words = `${name}: the plan made at ${at} ${sentence} ${verdict.words} later (${protocol})`;
+    return mark(sign, sample, words, `cp-hit cp-${kind}`, { "data-testid": "player-collision", "data-model": name,
+      "data-frame": scene.samples[sample].frame, "data-contact": verdict.contact, "data-mark": verdict.mark });
+  }));
 }
 
 /** A line where the plan in force first touches something.
@@ -76,14 +74,13 @@ function markMoment(track, scene, sample, verdict) {
 // --- one sample --------------------------------------------------------------------------------------------------------
 /** @typedef {{words: string, kind?: string, title?: string}} Said */
 
-/** @param {Planner} model @param {number} sample @param {number} judge
- * @returns {{cells: Said[], uncounted: boolean}} */
+/** @param {Planner} model @param {number} sample @param {number} judge @returns {{cells: Said[], left?: boolean}} */
 function entryOf(model, sample, judge) {
   const nothing = Array(7).fill({ words: UNDEFINED });
   const failed = model.failed(sample);
-  if (failed !== undefined) return { cells: [{ words: "failed", kind: "cp-bad", title: failed }, ...nothing], uncounted: false };
+  if (failed !== undefined) return { cells: [{ words: "failed", kind: "cp-bad", title: failed }, ...nothing] };
   const plan = model.plan(sample);
-  if (!plan) return { cells: [{ words: "did not run" }, ...nothing], uncounted: false };
+  if (!plan) return { cells: [{ words: "did not run" }, ...nothing] };
   const verdict = model.verdict(sample, judge);
   const within = [...(verdict?.marks ?? "---")].map((mark) => {
     const [sign, kind, , words] = site().legend[mark];
@@ -92,7 +89,7 @@ function entryOf(model, sample, judge) {
   const cause = (verdict?.contact ?? null) === null ? undefined : plan.cause;
   const cells = [...within, { words: verdict?.words ?? UNDEFINED }, { words: cause ?? UNDEFINED, title: cause && plan.reason },
     ...(plan.l2 ?? Array(3).fill(UNDEFINED)).map((words) => ({ words }))];
-  return { cells, uncounted: verdict !== null && !verdict.counted };
+  return { cells, left: verdict !== null && !verdict.counted };
 }
 
 /** @param {Scene} scene @param {Planner[]} models @param {number} sample @returns {string[]} Of an instant of a drive. */
@@ -103,8 +100,7 @@ function sayDriven(scene, models, sample) {
 }
 
 /** Verdicts on the plans of one sample. @param {Scene} scene @param {Planner[]} models @param {number} sample
- * @param {string|null} protocol @param {boolean} compare Whether to mark what differs between the first two.
- * @returns {HTMLElement[]} A table, and what is to be said below it. */
+ * @param {string|null} protocol @param {boolean} compare Whether to mark what differs. @returns {HTMLElement[]} */
 function verdictNodes(scene, models, sample, protocol, compare) {
   const command = COMMANDS[scene.samples[sample].command ?? -1];
   const caption = `Sample ${sample + 1} of ${scene.samples.length}, ${sampleTime(scene, sample)}${
@@ -115,8 +111,8 @@ function verdictNodes(scene, models, sample, protocol, compare) {
   if (plain !== null) return [element("p", { class: "cp-note" }, `${caption}. ${plain}`)];
   const entries = models.map((model) => entryOf(model, sample, scene.protocols.indexOf(protocol ?? "")));
   const both = compare && models.length === 2;
-  const apart = both ? differenceOf(scene, models, entries.map(({ cells }) => cells[2].words), sample) : null;
-  const uncounted = entries.some((each) => each.uncounted) ? element("p", { class: "cp-quiet cp-apart" },
+  const apart = both ? differenceOf(scene, models, sample) : null;
+  const uncounted = entries.some((each) => each.left) ? element("p", { class: "cp-quiet cp-apart" },
     `‡ No rate of ${protocol} counts this sample: the recording ends too early.`) : null;
   const table = verdictsTable(caption, models, entries.map(({ cells }) => cells), both);
   return [element("div", { class: "cp-box" }, table), apart, uncounted].filter((node) => node !== null);
@@ -141,14 +137,11 @@ function verdictsTable(caption, models, rows, both) {
       cells.map(({ words, kind, title }, at) => element("td", { class: kinds(kind, at + 1), title }, words))))));
 }
 
-/** @param {Scene} scene @param {Planner[]} models @param {string[]} words @param {number} sample
- * @returns {HTMLElement|null} How two plans differ, in words. */
-function differenceOf(scene, models, words, sample) {
+/** How far two plans part. @param {Scene} scene @param {Planner[]} models @param {number} sample */
+function differenceOf(scene, models, sample) {
   const [first, second] = models.map((model) => scene.models.indexOf(model)).sort((a, b) => a - b);
   const apart = scene.apart[first]?.[second - first - 1]?.[sample];
   if (!apart) return null;
-  const said = words[0] === words[1] ? `Both: ${words[0]} within 3 s.`
-    : `They differ: ${models[0].name} ${words[0]}, ${models[1].name} ${words[1]} within 3 s.`;
-  return element("p", { class: "cp-apart", "data-testid": "player-difference" }, said,
-    ` The plans are ${apart[0]} m apart after 1 s, ${apart[1]} m after 2 s, ${apart[2]} m after 3 s.`);
+  return element("p", { class: "cp-apart", "data-testid": "player-difference" },
+    `The plans are ${apart[0]} m apart after 1 s, ${apart[1]} m after 2 s, ${apart[2]} m after 3 s.`);
 }

@@ -17,16 +17,15 @@ function sceneOf(key) {
 }
 
 // --- lists that are filtered -------------------------------------------------------------------------------------------
-/** What an address asks of a list, and the controls that change it. @template T @param {Route} here @param {Filter[]} filters
- * @param {(item: T, name: string, value: string) => boolean} fits @param {() => void} refresh
- * @returns {{controls: (HTMLElement|null)[], fitting: (items: T[]) => T[]}} */
+/** What an address asks of a list, and the controls. @template T @param {Route} here @param {Filter[]} filters
+ * @param {(item: T, name: string, value: string) => boolean} fits @param {() => void} refresh */
 function filtersOf(here, filters, fits, refresh) {
   const used = filters.filter(({ choices }) => choices.length);
   for (const { name, choices } of used) asked(here, name, choices.map((each) => [each].flat()[0]));
   return {
     controls: used.filter(({ name, choices }) => name !== "data" || choices.length > 1).map(
       ({ name, label, any, choices }) => placedChoice(here, label, name, [["", any], ...choices], refresh)),
-    fitting: (items) => items.filter((item) => filters.every(({ name }) => {
+    fitting: (/** @type {T[]} */ items) => items.filter((item) => filters.every(({ name }) => {
       const value = here.params.get(name);
       return !value || fits(item, name, value);
     })),
@@ -37,8 +36,7 @@ function filtersOf(here, filters, fits, refresh) {
 const countPlace = (testid) => element("p", { class: "count", "data-testid": testid, "aria-live": "polite" });
 
 // --- scenes ------------------------------------------------------------------------------------------------------------
-/** @param {SceneData} scene @param {string} protocol @param {string|null} [model] Whose plans the page starts with.
- * @returns {HTMLElement} */
+/** @param {SceneData} scene @param {string} protocol @param {string|null} [model] Whose plans its page starts with. */
 function sceneCard(scene, protocol, model) {
   const href = address(["scene", scene.key], { model });
   const severe = own(scene.severe, model || "");
@@ -52,7 +50,7 @@ function sceneCard(scene, protocol, model) {
   });
   return element("article", { class: "card", "data-testid": "scene-card", "data-key": scene.key },
     element("a", { class: "picture", href, tabindex: "-1", "aria-hidden": "true" },
-      scene.thumb ? picture({ light: scene.thumb, dark: scene.thumbDark ?? scene.thumb, alt: "", width: 320, height: 320 })
+      scene.thumb ? picture({ light: scene.thumb, dark: scene.thumbDark ?? "", alt: "", width: 320, height: 320 })
         : element("span", { class: "no-picture" }, "no sheet")),
     element("div", { class: "card-text" },
       element("a", { class: "name", href }, scene.scene),
@@ -71,12 +69,12 @@ function sceneFits(scene, name, value, protocol) {
   return Array.isArray(scene[name]) ? scene[name].includes(value) : scene[name] === value;
 }
 
-/** @param {SceneData} scene @param {string} order @param {string} protocol @param {string|null} model
- * @returns {number} What scenes are sorted by, least first; what has no such number comes last. */
+/** @param {SceneData} scene @param {string} order @param {string} protocol @param {string|null} model Least first. */
 function sortKey(scene, order, protocol, model) {
   const [bad, split] = own(scene.counts, protocol) ?? [0, 0];
   const severe = -(own(scene.severe, model || "")?.[0] || -Number.MAX_VALUE);
-  return own({ name: 0, hardest: -bad, easiest: bad, split: -split, severe, ...scene.order }, order) ?? Number.MAX_VALUE;
+  const keys = { name: 0, hardest: -bad, easiest: bad, split: -split, severe, ...scene.order };
+  return own(keys, order) ?? Number.MAX_VALUE;
 }
 
 pages.scenes = (here) => {
@@ -149,12 +147,12 @@ pages.attempts = (here) => {
     title: "Attempts",
     nodes: [
       element("h1", {}, "What the search tried"),
-      element("p", { class: "lead" }, "A vehicle is tried as the adversary, and kept only if the scene is physically sound, ",
-        "solvable and hard enough. This is what became of each."),
+      element("p", { class: "lead" }, "A vehicle is tried as the adversary, and kept only if the scene is physically ",
+        "sound, solvable and hard enough. This is what became of each."),
       ...(attempts.length ? [
-        element("dl", { class: "tally" }, attemptTally.map(([reason, number]) => [
+        element("dl", { class: "tally" }, attemptTally.map(([reason, value]) => [
           element("dt", {}, element("a", { href: address(["attempts"], { reason }) }, reason)),
-          element("dd", {}, element("meter", { max: attemptTally[0][1], value: number, "aria-hidden": "true" }), number)])),
+          element("dd", {}, element("meter", { max: attemptTally[0][1], value, "aria-hidden": "true" }), value)])),
         element("div", { class: "toolbar" }, filterField(here, "Attempts with", refresh), list.controls), count, place,
       ] : [element("p", { class: "remark" }, "Nothing is known of a search: the sheets of generated splits say it (",
         element("code", {}, "challenger-bench sheets --split adv"), "), then write the leaderboard again.")]),
@@ -184,8 +182,7 @@ function sceneFacts(scene) {
   return place;
 }
 
-/** @param {SceneData} scene @param {Record<string, any>} params What of the player's state they take along.
- * @returns {HTMLElement[]} Links to its neighbours in the split. */
+/** @param {SceneData} scene @param {Record<string, any>} params @returns {HTMLElement[]} Links to those beside it. */
 function neighbours(scene, params) {
   const same = site().scenes.filter((each) => each.data === scene.data && each.split === scene.split);
   const at = same.indexOf(scene);
@@ -222,15 +219,13 @@ function driveLinks(scene) {
       key ? element("a", { href: address(["drive", key]) }, planner) : planner, ` ${measured}: ${outcome}`))));
 }
 
-/** A page around a player. @param {Route} here @param {string} key @param {PlayerOptions} options Beside those that the
- * address has. @param {(state: any) => Record<string, any>} kept What of its state goes into the address.
- * @param {string} title @param {(node: HTMLElement) => Page["nodes"]} around
- * @param {() => void} [follow] Called when the address has changed, for links that take the state along. @returns {Page} */
+/** A page around a player. @param {Route} here @param {string} key @param {PlayerOptions} options Beside the address.
+ * @param {(state: any) => Record<string, any>} kept What of its state goes there. @param {string} title
+ * @param {(node: HTMLElement) => Page["nodes"]} around @param {() => void} [follow] After changes. @returns {Page} */
 function playerPage(here, key, options, kept, title, around, follow = () => {}) {
   const node = element("div", { class: "player-place", "data-testid": "player" });
   const t = Number(here.params.get("t") || NaN);
-  /** @type {{destroy: () => void}|null} */
-  let player = null;
+  let player = /** @type {{destroy: () => void}|null} */ (null);
   asked(here, "protocol", site().protocols);
   follow();
   return {
@@ -241,7 +236,7 @@ function playerPage(here, key, options, kept, title, around, follow = () => {}) 
         t: Number.isFinite(t) ? t : undefined, protocol: here.params.get("protocol") ?? undefined,
         camera: here.params.get("camera") ?? undefined, ...options,
         onState: (state) => { remember(here, kept(state)); follow(); },
-      }), (sentence) => node.replaceChildren(element("p", { class: "error", role: "alert", "data-testid": "error" }, sentence)));
+      }), (sentence) => node.replaceChildren(errorLine(sentence)));
     },
     destroy: () => player?.destroy(),
   };
@@ -257,11 +252,10 @@ pages.scene = (here) => {
   if (unknown !== undefined) throw new AddressError(`There is no planner called “${unknown}”.`);
   const links = element("p", { class: "neighbours" });
   const comparison = element("p");
-  return playerPage(here, scene.key, { models }, ({ models: model, ...state }) => ({ ...state, model }), scene.scene, (node) => [
-    links,
-    element("h1", {}, scene.scene, scene.manoeuvre ? element("span", { class: "tag" }, scene.manoeuvre) : null),
-    missingSheet(scene), node, comparison, sceneFacts(scene), driveLinks(scene), rounds(scene),
-  ], () => {
+  const title = element("h1", {}, scene.scene, scene.manoeuvre && element("span", { class: "tag" }, scene.manoeuvre));
+  return playerPage(here, scene.key, { models }, ({ models: model, ...state }) => ({ ...state, model }), scene.scene,
+    (node) => [links, title, missingSheet(scene), node, comparison, sceneFacts(scene), driveLinks(scene),
+      rounds(scene)], () => {
     const model = here.params.getAll("model");
     links.replaceChildren(...neighbours(scene, { model, ...common(here) }));
     const [a, b] = model.length > 1 ? model : unique([...model, ...scene.pair]);

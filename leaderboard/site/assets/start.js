@@ -29,7 +29,7 @@ class Showing extends Viewer {
         [scene.scene, scene.manoeuvre, scene.description].filter(Boolean).join(" · ")));
     place.replaceChildren(element("div", { class: "showing-stage" },
       this.addView({ class: "showing-above",
-        "aria-label": `Scene ${scene.scene} from above, with the plans of ${this.chosen.join(", ")}` }, false, EXTENT_M),
+        "aria-label": `Scene ${scene.scene} from above, with plans of ${this.chosen.join(", ")}` }, false, EXTENT_M),
       element("div", { class: "showing-side" }, this.addCameras({ class: "showing-cameras",
         "aria-label": "Its cameras, with the box of the adversary" }), words)));
     this.changed();
@@ -55,8 +55,7 @@ pages.start = (here) => {
   const data = asked(here, "data", starts.map((each) => each.data));
   const start = starts.find((each) => each.data === data);
   const stage = element("section", { class: "showing", "data-testid": "showing", "aria-label": "A scene that plays" });
-  /** @type {{destroy: () => void}|null} */
-  let showing = null;
+  let showing = /** @type {{destroy: () => void}|null} */ (null);
   const key = keyTables.find((table) => table.data === data);
   const mine = figures.filter((figure) => figure.data === data);
   const figure = mine.find((each) => each.title.startsWith("Collision rate over the horizon")) ?? mine[0];
@@ -78,8 +77,9 @@ pages.start = (here) => {
     ],
     ready() {
       // Without the scene's script there is nothing to show.
-      if (start?.scene) showing = playIn(stage, start.scene, (scene) => new Showing(stage, scene), () => stage.remove());
+      if (!start?.scene) return;
+      showing = playIn(stage, start.scene, (scene) => new Showing(stage, scene), () => stage.remove());
     },
-    destroy: () => { hideNote(); showing?.destroy(); },
+    destroy: () => showing?.destroy(),
   };
 };

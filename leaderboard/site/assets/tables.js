@@ -47,8 +47,7 @@ function hideNote(cell) {
   note.hidden = true;
 }
 
-/** Arrow keys lead from cell to cell; Tab passes a table's numbers in one step.
- * @param {HTMLTableSectionElement} body @param {CellFacts[]} known Of the cells with numbers. */
+/** Arrow keys lead from cell to cell, Tab past. @param {HTMLTableSectionElement} body @param {CellFacts[]} known */
 function listenToCells(body, known) {
   /** @param {Event} event @returns {HTMLTableCellElement|null} */
   const cellOf = ({ target }) => (target instanceof Element ? target.closest("td[data-facts]") : null);
@@ -92,8 +91,7 @@ function numberIn(text) {
   return found ? Number(found[0]) : null;
 }
 
-/** @param {TableData} table @param {number} column @param {boolean} descending
- * @returns {number[]} Places of rows; dashes at the end. */
+/** @param {TableData} table @param {number} column @param {boolean} descending Dashes are last. */
 function ordered(table, column, descending) {
   const collator = new Intl.Collator("en", { numeric: true });
   const keys = table.rows.map((row) => {
@@ -130,8 +128,7 @@ function groupEdges(table) {
 /** @param {TableData} table @param {string|undefined} link Its planners' test id. @returns {HTMLTableSectionElement} */
 function tableBody(table, link) {
   const body = element("tbody");
-  /** @type {CellFacts[]} */
-  const known = [];
+  const known = /** @type {CellFacts[]} */ ([]);
   const edges = groupEdges(table);
   for (const [index, row] of table.rows.entries()) {
     body.append(element("tr", {}, row.map((text, column) => {
@@ -151,16 +148,14 @@ function tableBody(table, link) {
 
 /** @param {TableData} table @returns {HTMLElement} Its title, and links to its files. */
 function tableHead(table) {
-  const files = Object.entries(table.files ?? {}).sort();
   return element("div", { class: "table-head" }, element("h3", { id: `title-${table.id}` }, table.title),
-    files.length ? element("span", { class: "files" }, files.map(([kind, path]) => element("a",
+    element("span", { class: "files" }, Object.entries(table.files ?? {}).sort().map(([kind, path]) => element("a",
       { href: path, download: "", "aria-label": `${kind.toUpperCase()} of: ${table.title}` },
-      kind === "tex" ? "TeX" : kind.toUpperCase()))) : null);
+      kind === "tex" ? "TeX" : kind.toUpperCase()))));
 }
 
 /** A table with its title, files and notes. @param {TableData} table @param {{notes?: string[], here?: Route, link?:
- * string}} [state] The page whose address holds the order, as `column.asc.id`; test id of its planners.
- * @returns {{node: HTMLElement, filter: (fits: (text: string, row: string[]) => boolean) => void}} */
+ * string}} [state] The page whose address holds the order, as `column.asc.id`; test id of its planners. */
 function tableView(table, { notes = table.notes, here, link } = {}) {
   const body = tableBody(table, link);
   const rows = [...body.rows];
@@ -200,6 +195,7 @@ function tableView(table, { notes = table.notes, here, link } = {}) {
     notes.length ? element("ul", { class: "notes" }, notes.map((sentence) => element("li", {}, sentence))) : null);
   return {
     node,
+    /** @param {RowFilter} fits */
     filter(fits) {
       table.rows.forEach((row, index) => { rows[index].hidden = !fits(row.join(" ").toLowerCase(), row); });
       nothing.hidden = rows.some((row) => !row.hidden);
@@ -227,9 +223,8 @@ function tableViews(tables, here, { link, fits = () => true } = {}) {
 
 /** @param {TableData} table @param {(row: string[], at: number) => boolean} fits @returns {TableData} Some of its rows. */
 function rowsOf(table, fits) {
-  const places = table.rows.map((_, at) => at).filter((at) => fits(table.rows[at], at));
-  const cells = table.cells;
-  return { ...table, rows: places.map((at) => table.rows[at]), cells: cells && places.map((at) => cells[at]) };
+  const { rows, cells } = table;
+  return { ...table, rows: rows.filter(fits), cells: cells && cells.filter((_, at) => fits(rows[at], at)) };
 }
 
 // --- all tables --------------------------------------------------------------------------------------------------------
@@ -242,8 +237,9 @@ pages.tables = (here) => {
   const groups = [...unique(mine.map((table) => table.group ?? "")), ...(drawings.length ? [FIGURES] : [])];
   const sorted = mine.find((table) => here.params.get("sort")?.endsWith(`.${table.id}`));
   const group = here.params.has("group") ? asked(here, "group", groups) : sorted?.group ?? groups[0];
-  const sliced = slicesOf(mine.filter((table) => table.group === group), group, here);
-  const { nodes, field } = tableViews(sliced.tables, here, { fits: sliced.fits });
+  const ofGroup = mine.filter((table) => table.group === group);
+  const sliced = group === SLICES ? slicesOf(ofGroup, here) : { tables: ofGroup, choices: [], fits: undefined };
+  const { nodes, field } = tableViews(sliced.tables, here, sliced);
   return {
     title: "Tables",
     nodes: [
@@ -260,15 +256,11 @@ pages.tables = (here) => {
       ...nodes,
       group === FIGURES ? element("section", { class: "figures" }, drawings.map(figureView)) : null,
     ],
-    destroy: () => hideNote(),
   };
 };
 
-/** What is chosen among the tables of a group: of slices one kind, and all of its slices or one.
- * @param {TableData[]} tables @param {string} group @param {Route} here
- * @returns {{tables: TableData[], fits: (row: string[]) => boolean, choices: (HTMLElement|null)[]}} */
-function slicesOf(tables, group, here) {
-  if (group !== SLICES) return { tables, fits: () => true, choices: [] };
+/** Of slices one kind, and all of its slices or one. @param {TableData[]} tables Of the group. @param {Route} here */
+function slicesOf(tables, here) {
   const kinds = unique(tables.map((table) => table.columns[KIND]));
   const by = asked(here, "by", kinds);
   const shown = tables.filter((table) => table.columns[KIND] === by);
@@ -276,7 +268,7 @@ function slicesOf(tables, group, here) {
   const only = asked(here, "slice", names);
   return {
     tables: shown,
-    fits: (row) => only === EVERY || row[KIND] === only,
+    fits: (/** @type {string[]} */ row) => only === EVERY || row[KIND] === only,
     choices: [
       field("By", selectOf(kinds, by, (value) => { remember(here, { by: value, slice: null, sort: null }); show(); },
         { "data-testid": "filter-by" })),

@@ -11,6 +11,10 @@ interface Page {
   destroy?: () => void;
 }
 type PageMaker = (here: Route) => Page;
+/** Values, or values with what is shown. */
+type Choices = (string | [string, string])[];
+/** By the text of a row and its cells. */
+type RowFilter = (text: string, row: string[]) => boolean;
 
 /** Facts behind a number; `record` is a place among the origins of the index. */
 interface CellFacts {
@@ -84,7 +88,7 @@ interface Filter {
   name: string;
   label: string;
   any: string;
-  choices: (string | [string, string])[];
+  choices: Choices;
 }
 interface SiteIndex {
   title: string;
