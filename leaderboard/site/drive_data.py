@@ -31,13 +31,21 @@ from benchmark.report.overlays import find_shared_point, rank_candidates
 from benchmark.report.placement import agent_box, agent_box_at, ego_box, ego_pose, frame_seconds, place_waypoints
 from leaderboard.frame.drives import group_comparable_drives
 from leaderboard.frame.rows import name_cell
-from leaderboard.site.packing import CENTIMETRE, DECIMETRE, MILLIRADIAN, encode_script, pack_path, pack_series
-from leaderboard.site.scene_data import build_agent
+from leaderboard.site.packing import (
+    CENTIMETRE,
+    DECIMETRE,
+    MILLIRADIAN,
+    encode_script,
+    pack_path,
+    pack_poses,
+    pack_series,
+)
+from leaderboard.site.scene_data import build_agent, build_body
 from leaderboard.site.scene_facts import scene_key
 from leaderboard.site.scene_plans import ERROR_CHARACTERS
 
 _SCENES: Final = "window.CHALLENGER_SCENES = window.CHALLENGER_SCENES || {}"
-_X, _Y, _YAW, _SPEED = range(4)
+_YAW, _SPEED = 2, 3
 _LATE_S: Final = 1e-3
 _NOWHERE: Final = np.empty((0, 1, 2))
 
@@ -140,10 +148,9 @@ def _has_scene_page(named_drive: _NamedDrive, sheets: ScenePages) -> bool:
 
 
 def _adversary_is_shown(named_drive: _NamedDrive, sheets: ScenePages) -> bool:
-    return (
-        _has_scene_page(named_drive, sheets)
-        and build_driven_adversary(sheets.scenes[named_drive.scene].sheet, named_drive.row) is not None
-    )
+    if not _has_scene_page(named_drive, sheets):
+        return False
+    return build_driven_adversary(sheets.scenes[named_drive.scene].sheet, named_drive.row) is not None
 
 
 def _build_drive(named_drive: _NamedDrive, sheet: ScenePage) -> dict[str, Any]:
@@ -158,19 +165,11 @@ def _build_drive(named_drive: _NamedDrive, sheet: ScenePage) -> dict[str, Any]:
     seconds = seconds[: max(int(np.searchsorted(seconds, end + _LATE_S)), 1)]
     recorded = np.array([ego_pose(sheet, frame) for frame in range(len(seconds))])
     pose = np.where((seconds < ticks[0])[:, None], recorded, interpolate_poses(seconds, ticks, states))
-    ego = sheet.ego
     data = {
         "base": scene_key(named_drive.scene),
         "key": named_drive.key,
         "frames": np.round(seconds, 3).tolist(),
-        "ego": {
-            "x": pack_series(pose[:, _X].tolist(), CENTIMETRE),
-            "y": pack_series(pose[:, _Y].tolist(), CENTIMETRE),
-            "yaw": pack_series(pose[:, _YAW].tolist(), MILLIRADIAN),
-            "length": ego.length_m,
-            "width": ego.width_m,
-            "ahead": ego.centre_ahead_m,
-        },
+        "ego": pack_poses(*pose.T.tolist()) | build_body(sheet),
         "recordedPath": pack_path(
             np.array([ego_box(sheet, frame)[:2] for frame in range(len(sheet.timestamps_us))]), CENTIMETRE
         ),
@@ -185,12 +184,9 @@ def _build_drive(named_drive: _NamedDrive, sheet: ScenePage) -> dict[str, Any]:
     }
     removal_times = _find_removal_times(row, ticks)
     if not named_drive.shows_all_agents or removal_times:
-        visible_agents = (
-            [_cut_track(agent, seconds, removal_times) for agent in sheet.agents]
-            if named_drive.shows_all_agents
-            else []
-        )
-        data["agents"] = [build_agent(agent) for agent in visible_agents if agent.x_m]
+        visible_agents = sheet.agents if named_drive.shows_all_agents else ()
+        tracks = [_cut_track(agent, seconds, removal_times) for agent in visible_agents]
+        data["agents"] = [build_agent(track) for track in tracks if track.x_m]
     if adversary is not None:
         data["moved"] = build_agent(_cut_track(adversary, seconds, removal_times))
     search_trace = read_search_trace(named_drive.record.directory, row)
@@ -218,11 +214,7 @@ def _cut_track(agent: PageAgent, seconds: Floats, removal_times: Mapping[str, fl
 def build_driven_adversary(sheet: ScenePage, row: EpisodeRow) -> PageAgent | None:
     """An adversary that answers, as it drove, and as recorded up to its hand-over; ``None`` if the sheet lacks it."""
     went = row.adversary
-    agent = (
-        None
-        if went is None
-        else next((sheet_agent for sheet_agent in sheet.agents if sheet_agent.id == went.uuid), None)
-    )
+    agent = next((agent for agent in sheet.agents if went is not None and agent.id == went.uuid), None)
     if went is None or agent is None:
         return None
     begins = min(agent.first, went.start)
@@ -252,12 +244,8 @@ def _build_plans(named_drive: _NamedDrive, seconds: Floats, ticks: Floats, state
             plan_entries.append({"failed": lines[-1][:ERROR_CHARACTERS]})
             continue
         plan_entries.append(_build_plan(np.array(plan.waypoints, np.float64), plan.frame, states[number, :3]))
-    model = {
-        "name": named_drive.name,
-        "shown": name_cell(named_drive.name, planner).text,
-        "first": [],
-        "samples": plan_entries,
-    }
+    shown = name_cell(named_drive.name, planner).text
+    model = {"name": named_drive.name, "shown": shown, "first": [], "samples": plan_entries}
     return {"samples": samples, "models": [model]}
 
 
@@ -284,16 +272,8 @@ def _build_contact(
     x, y, yaw = interpolate_poses(np.array([t]), ticks, states)[0]
     ego, ahead = sheet.ego, sheet.ego.centre_ahead_m
     box = np.array([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), ego.length_m, ego.width_m, yaw])
-    agent = next(
-        (
-            sheet_agent
-            for sheet_agent in sheet.agents
-            if sheet_agent.id == row.contact.agent and named_drive.shows_all_agents
-        ),
-        None,
-    )
-    if adversary is not None and adversary.id == row.contact.agent:
-        agent = adversary
+    known = [*([] if adversary is None else [adversary]), *(sheet.agents if named_drive.shows_all_agents else ())]
+    agent = next((known_agent for known_agent in known if known_agent.id == row.contact.agent), None)
     other = None if agent is None else agent_box_at(sheet, agent, t)
     point = box[:2] if other is None else find_shared_point(box, other)
     return {"t": round(t, 3), "x": round(float(point[0]), 2), "y": round(float(point[1]), 2)}
@@ -330,19 +310,16 @@ def build_search_trace(sheet: ScenePage, frames: Sequence[SearchTraceFrame]) -> 
     """
     entries = []
     for trace_frame in frames:
-        points = (
-            np.array(trace_frame.candidates, np.float64) - np.array(sheet.origin_m)
-            if trace_frame.candidates
-            else _NOWHERE
-        )
-        candidates = rank_candidates(points, trace_frame.scores, trace_frame.chosen)
+        candidates = trace_frame.candidates
+        points = np.array(candidates, np.float64) - np.array(sheet.origin_m) if candidates else _NOWHERE
+        ranked = rank_candidates(points, trace_frame.scores, trace_frame.chosen)
         entries.append(
             {
                 "t": round((trace_frame.time_us - sheet.timestamps_us[0]) * 1e-6, 3),
                 "did": trace_frame.did,
-                "paths": [pack_path(path, DECIMETRE) for path in candidates.paths],
-                "shares": [round(100 * share) for share in candidates.shares.tolist()],
-                "chosen": None if candidates.chosen is None else pack_path(candidates.chosen, DECIMETRE),
+                "paths": [pack_path(path, DECIMETRE) for path in ranked.paths],
+                "shares": [round(100 * share) for share in ranked.shares.tolist()],
+                "chosen": None if ranked.chosen is None else pack_path(ranked.chosen, DECIMETRE),
             }
         )
     return entries

@@ -174,20 +174,19 @@ def build_index(
     }
     scenes, planners = index["scenes"], [model["name"] for model in index["models"]]
     outcomes = Counter(sorted(attempt["reason"] for attempt in index["attempts"]))
-    names = ("data", "split")
-    listed = {name: list(dict.fromkeys(attempt[name] for attempt in index["attempts"])) for name in names}
+    listed = [
+        (name, label, list(dict.fromkeys(attempt[name] for attempt in index["attempts"])))
+        for name, label in (("data", "Data set"), ("split", "Split"))
+    ]
     return index | {
         "starts": build_starts(index, results.runs),
         "sceneFilters": list_filters(scenes, planners),
         "sceneOrders": list_orders(scenes),
         "attemptFilters": [
-            {"name": "data", "label": "Data set", "any": "all", "choices": listed["data"]},
-            {"name": "split", "label": "Split", "any": "all", "choices": listed["split"]},
-            {"name": "reason", "label": "Outcome", "any": "all", "choices": list(outcomes)},
+            {"name": name, "label": label, "any": "all", "choices": choices}
+            for name, label, choices in (*listed, ("reason", "Outcome", list(outcomes)))
         ],
-        "attemptTally": [
-            [outcome, outcomes[outcome]] for outcome in sorted(outcomes, key=lambda each: -outcomes[each])
-        ],
+        "attemptTally": outcomes.most_common(),
     }
 
 
@@ -278,10 +277,8 @@ def build_key_table(frame: DataSetRuns) -> Table | None:
     for name, facts in planners.items():
         rows.append({"planner": name_cell(name, facts).text})
         for split in splits:
-            averages = {
-                head: _take_cell(collisions, row_numbers.get((name, split)), column) for head, column in RATES.items()
-            }
-            rows[-1] |= {f"{head} on {split}": value for head, value in averages.items()}
+            row = row_numbers.get((name, split))
+            rows[-1] |= {f"{head} on {split}": _take_cell(collisions, row, column) for head, column in RATES.items()}
         if effect is not None:
             rows[-1] |= {head: _take_cell(effect, caused.get(name), column) for head, column in of_adversary.items()}
     columns = [

@@ -58,6 +58,13 @@ def pack_series(values: Sequence[float | None], unit: float) -> PackedSeries:
     return steps
 
 
+def pack_poses(
+    x: Sequence[float | None], y: Sequence[float | None], yaw: Sequence[float | None]
+) -> dict[str, PackedSeries]:
+    """A track, of metres and radians, as scripts have it."""
+    return {"x": pack_series(x, CENTIMETRE), "y": pack_series(y, CENTIMETRE), "yaw": pack_series(yaw, MILLIRADIAN)}
+
+
 def pack_path(points: ArrayLike, unit: float, start: tuple[float, float] = (0.0, 0.0)) -> list[int]:
     """(N, 2) metres as 2 N steps from ``start``, x and y in turn; zeros at the end stay: they tell its length."""
     steps = np.rint(np.vstack([np.array([start]), np.asarray(points, np.float64).reshape(-1, 2)]) / unit)

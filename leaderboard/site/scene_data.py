@@ -3,8 +3,8 @@
 A script holds an object with these members; lengths are packed (`leaderboard.site.packing`) in centimetres and angles
 in milliradians, in the sheet's local frame, unless said otherwise:
 
-* ``key, data, split, scene, source, manoeuvre, description, labels, hasSheet, adversarial`` (whether its
-  records are of a split with adversaries), ``origin`` (metres, global), ``page`` (`leaderboard.site.scene_index`);
+* ``key, data, split, scene, manoeuvre, description, hasSheet, adversarial`` (whether its records are of a split with
+  adversaries), ``page`` (`leaderboard.site.scene_index`);
 * ``frames``: seconds from the first frame, one a frame of the player (12 Hz with a sheet, one a sample without);
 * ``samples``: ``{frame, t, command}`` of each sample, ``command`` 0 right, 1 left, 2 straight, null if no planner ran;
 * ``body``: ``{length, width, ahead}`` of the ego as protocols see it, ``ahead`` of the lidar origin, metres;
@@ -49,7 +49,7 @@ from benchmark.report.palette import ON_DARK, ON_LIGHT, GroundColours
 from benchmark.report.placement import agent_box, ego_box
 from benchmark.waypoints import points_in_ego
 from leaderboard.frame.rows import sort_for_tables
-from leaderboard.site.packing import CENTIMETRE, MILLIRADIAN, encode_script, pack_path, pack_series
+from leaderboard.site.packing import CENTIMETRE, encode_script, pack_path, pack_poses
 from leaderboard.site.scene_facts import SceneName, scene_key
 from leaderboard.site.scene_plans import build_planner_samples, list_differing, list_distances
 from leaderboard.site.table_entries import sort_protocols
@@ -167,20 +167,10 @@ def _build_scene(
 
 def _build_page_data(sheet: ScenePage, key: str) -> dict[str, Any]:
     return {
-        "source": sheet.source,
         "manoeuvre": sheet.manoeuvre,
         "description": sheet.description,
-        "labels": list(sheet.labels),
-        "origin": list(sheet.origin_m),
         "frames": _to_seconds(sheet.timestamps_us),
-        "ego": {
-            "x": pack_series(sheet.ego.x_m, CENTIMETRE),
-            "y": pack_series(sheet.ego.y_m, CENTIMETRE),
-            "yaw": pack_series(sheet.ego.yaw_rad, MILLIRADIAN),
-            "length": sheet.ego.length_m,
-            "width": sheet.ego.width_m,
-            "ahead": sheet.ego.centre_ahead_m,
-        },
+        "ego": pack_poses(sheet.ego.x_m, sheet.ego.y_m, sheet.ego.yaw_rad) | build_body(sheet),
         "agents": [build_agent(agent) for agent in sheet.agents],
         "road": _build_road(sheet.road),
         "cameras": [camera.model_dump() for camera in sheet.cameras],
@@ -193,20 +183,10 @@ def _build_page_data(sheet: ScenePage, key: str) -> dict[str, Any]:
 def _build_plain_data(name: SceneName, ran: Sequence[_PlannerRun]) -> dict[str, Any]:
     """Each sample by itself in the ego's frame; its poses in the world are in no record."""
     rows = _sort_rows(ran)
-    facts = next(
-        (
-            planner_run.record.run.scene_facts[name[2]]
-            for planner_run in ran
-            if name[2] in planner_run.record.run.scene_facts
-        ),
-        None,
-    )
+    facts = [planner_run.record.run.scene_facts.get(name[2]) for planner_run in ran]
     return {
-        "source": facts.source if facts else name[2],
-        "manoeuvre": facts.manoeuvre if facts else None,
+        "manoeuvre": next((of_scene.manoeuvre for of_scene in facts if of_scene is not None), None),
         "description": "",
-        "labels": [],
-        "origin": None,
         "frames": _to_seconds([row.timestamp_us for row in rows]),
         "ego": None,
         "agents": [],
@@ -261,23 +241,22 @@ def build_agent(agent: PageAgent) -> dict[str, Any]:
         "adversary": agent.adversary,
         "first": agent.first,
         "count": len(agent.x_m),
-        "x": pack_series(agent.x_m, CENTIMETRE),
-        "y": pack_series(agent.y_m, CENTIMETRE),
-        "yaw": pack_series(agent.yaw_rad, MILLIRADIAN),
+        **pack_poses(agent.x_m, agent.y_m, agent.yaw_rad),
     }
+
+
+def build_body(sheet: ScenePage) -> dict[str, float]:
+    """The ego's rectangle, of which ``ahead`` is where the middle is."""
+    return {"length": sheet.ego.length_m, "width": sheet.ego.width_m, "ahead": sheet.ego.centre_ahead_m}
 
 
 def _build_road(road: PageMap) -> dict[str, Any]:
     def rings(polygons: Sequence[Polygon]) -> list[list[list[int]]]:
         return [[pack_path(ring, CENTIMETRE) for ring in polygon] for polygon in polygons]
 
-    return {
-        "drivable": rings(road.drivable),
-        "crossings": rings(road.crossings),
-        "walkways": rings(road.walkways),
-        "carparks": rings(road.carparks),
-        "dividers": [{"paint": line.paint, "points": pack_path(line.points, CENTIMETRE)} for line in road.dividers],
-    }
+    areas = {name: rings(getattr(road, name)) for name in ("drivable", "crossings", "walkways", "carparks")}
+    lines = [{"paint": line.paint, "points": pack_path(line.points, CENTIMETRE)} for line in road.dividers]
+    return {**areas, "dividers": lines}
 
 
 def _build_edges(sheet: ScenePage) -> dict[str, dict[str, list[int]]]:

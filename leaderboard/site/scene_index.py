@@ -47,10 +47,7 @@ def build_scene_index(
     for name, entry in entries.items():
         summary = summaries[name]
         siblings = [each for each in by_source[entry["data"], entry["source"]] if each is not entry]
-        tables = (
-            verdict_table(summary, planners, protocols),
-            severity_table(summary, planners),
-        )
+        tables = verdict_table(summary, planners, protocols), severity_table(summary, planners)
         entry["page"] = {
             "facts": build_facts(entry, summary.judgement, siblings),
             "tables": [table_entry(table, table.name) for table in tables if table is not None],
@@ -76,9 +73,8 @@ def _build_entry(
     rounds = f"figures/{sanitise_file_name(data_name)}/{sanitise_file_name(f'refinement-{split}-{scene}')}.svg"
     marks = list_marks(summary)
     by_protocol: dict[str, list[str]] = defaultdict(list)
-    for of_planner in marks.values():
-        for protocol, mark in of_planner.items():
-            by_protocol[protocol].append(mark)
+    for protocol, mark in (pair for of_planner in marks.values() for pair in of_planner.items()):
+        by_protocol[protocol].append(mark)
     labels = [describe_label(label) for label in sheet.labels] if sheet else []
     description = sheet.description if sheet else ""
     texts = [scene, summary.source, data_name, split, summary.manoeuvre or "", description, *labels]
@@ -122,11 +118,7 @@ def describe_label(label: Mapping[str, Any]) -> str:
         words.append(_describe_approach(closest))
     occurred = label.get("occurred")
     if isinstance(occurred, list | tuple):
-        kinds = [
-            str(occurrence["kind"])
-            for occurrence in occurred
-            if isinstance(occurrence, Mapping) and "kind" in occurrence
-        ]
+        kinds = [str(each["kind"]) for each in occurred if isinstance(each, Mapping) and "kind" in each]
         others = [kind for kind in dict.fromkeys(kinds) if kind != manoeuvre]
         words.append(f"also {', '.join(others)}" if others else "")
     return "; ".join(word for word in words if word)

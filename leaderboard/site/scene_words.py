@@ -155,22 +155,19 @@ def list_filters(entries: Sequence[Mapping[str, Any]], planners: Sequence[str]) 
     drivers = [[name, _HEADS[name]] for name in DRIVER_NAMES] if judged else []
     faults = sorted({word for entry in entries for word in entry["verdict"] if word.startswith(_FAULT)})
     verdicts = [list(choice) for choice in _VERDICTS.items()] + [[fault, fault] for fault in faults] if judged else []
-    values = {name: list(dict.fromkeys(entry[name] for entry in entries if entry[name])) for name in _BY_VALUE}
-    return [
-        *(
-            {"name": name, "label": _BY_VALUE[name], "any": "all", "choices": values[name]}
-            for name in ("data", "split")
-        ),
-        {"name": "manoeuvre", "label": _BY_VALUE["manoeuvre"], "any": "all", "choices": sorted(values["manoeuvre"])},
-        {"name": "fails", "label": "Fails", "any": "any", "choices": planners},
-        {"name": "passes", "label": "Does not fail", "any": "any", "choices": planners},
-        {"name": "survives", "label": "Survived by", "any": "any", "choices": drivers},
-        {"name": "hits", "label": "Not survived by", "any": "any", "choices": drivers},
-        {"name": "verdict", "label": "Verdict", "any": "any", "choices": verdicts},
-    ]
-
-
-_BY_VALUE: Final = {"data": "Data set", "split": "Split", "manoeuvre": "Manoeuvre"}
+    names = ("data", "split", "manoeuvre")
+    values = {name: list(dict.fromkeys(entry[name] for entry in entries if entry[name])) for name in names}
+    filters = (
+        ("data", "Data set", "all", values["data"]),
+        ("split", "Split", "all", values["split"]),
+        ("manoeuvre", "Manoeuvre", "all", sorted(values["manoeuvre"])),
+        ("fails", "Fails", "any", planners),
+        ("passes", "Does not fail", "any", planners),
+        ("survives", "Survived by", "any", drivers),
+        ("hits", "Not survived by", "any", drivers),
+        ("verdict", "Verdict", "any", verdicts),
+    )
+    return [dict(zip(("name", "label", "any", "choices"), each, strict=True)) for each in filters]
 
 
 def list_orders(entries: Sequence[Mapping[str, Any]]) -> list[list[str]]:
@@ -218,12 +215,8 @@ def _list_judgement_facts(said: AssessmentSummary, split: str) -> list[list[Any]
         ("PET", said.pet_s, 1, "s"),
         ("BTN", said.max_btn, 2, ""),
     )
-    facts.append(
-        [
-            "recorded ego",
-            [[", ".join(f"{name} {_format_amount(value, digits, unit)}" for name, value, digits, unit in ego)]],
-        ]
-    )
+    amounts = ", ".join(f"{name} {_format_amount(value, digits, unit)}" for name, value, digits, unit in ego)
+    facts.append(["recorded ego", [[amounts]]])
     faults, unknown = (", ".join(names).replace("_", " ") for names in (said.faults, said.unknown_faults))
     facts.append(["adversary's faults", [[faults or "none"], *([[f"not known: {unknown}"]] if unknown else [])]])
     return facts

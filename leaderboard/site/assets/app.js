@@ -188,7 +188,8 @@ const errorLine = (sentence) => element("p", { "data-testid": "error", role: "al
 /** @param {string} sentence @returns {Page} */
 const errorPage = (sentence) => ({
   title: "Not found",
-  nodes: [element("h1", {}, "There is nothing here"), errorLine(sentence), element("a", { href: "#/" }, "To the overview")],
+  nodes: [element("h1", {}, "There is nothing here"), errorLine(sentence),
+    element("p", {}, element("a", { href: "#/" }, "To the overview"))],
 });
 
 /** @returns {Page} */

@@ -198,8 +198,8 @@ class Player extends Viewer {
   /** @param {boolean} shift @returns {Record<string, () => void>} What keys do. */
   actions(shift) {
     /** @param {number} direction */
-    const step = (direction) => () => (shift ? this.leap([...this.scene.samples.keys()], direction, Infinity * direction)
-      : this.seek(this.frame + direction));
+    const step = (direction) => () => (shift
+      ? this.leap([...this.scene.samples.keys()], direction, Infinity * direction) : this.seek(this.frame + direction));
     /** @param {number} x @param {number} y */
     const nudge = (x, y) => this.each((view) => view.move(NUDGE_PX * x, NUDGE_PX * y));
     const [nearer, farther] = [ZOOM, 1 / ZOOM].map((factor) => this.each((view) => view.zoom(factor)));
@@ -228,8 +228,9 @@ class Player extends Viewer {
    * @param {number} otherwise */
   leap(samples, direction, otherwise) {
     const frames = samples.map((sample) => this.scene.samples[sample].frame).sort((a, b) => a - b);
-    const [before, after] = [frames.findLast((frame) => frame < this.frame), frames.find((frame) => frame > this.frame)];
-    this.seek((direction > 0 ? after : before) ?? otherwise);
+    const next = direction > 0 ? frames.find((frame) => frame > this.frame)
+      : frames.findLast((frame) => frame < this.frame);
+    this.seek(next ?? otherwise);
   }
 
   /** To the collision before or after, of any planner that is shown. @param {number} direction */

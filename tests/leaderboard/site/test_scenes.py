@@ -218,7 +218,7 @@ def test_every_scene_has_a_script_that_says_what_sheet_and_records_say(
 def test_a_scene_without_a_sheet_is_in_the_frame_of_the_ego(site: Site, files: Mapping[str, bytes | Path]) -> None:
     key = scene_key((DATA_NAME, "val", site.made.without_sheet))
     value = script_value(files[f"data/scenes/{key}.js"])
-    assert (value["ego"], value["agents"], value["pictures"], value["origin"]) == (None, [], [], None)
+    assert (value["ego"], value["agents"], value["pictures"]) == (None, [], [])
     assert not [path for path in files if path.startswith(f"media/{key}/")]
     record = next(found for found in site.records if found.run.split == "val")
     rows = [row for row in record.rows if row.scene == site.made.without_sheet]
