@@ -152,7 +152,7 @@ pages.attempts = (here) => {
       ...(attempts.length ? [
         element("dl", { class: "tally" }, attemptTally.map(([reason, value]) => [
           element("dt", {}, element("a", { href: address(["attempts"], { reason }) }, reason)),
-          element("dd", {}, element("meter", { max: attemptTally[0][1], value, "aria-hidden": "true" }), value)])),
+          element("dd", {}, element("progress", { max: attemptTally[0][1], value, "aria-hidden": "true" }), value)])),
         element("div", { class: "toolbar" }, filterField(here, "Attempts with", refresh), list.controls), count, place,
       ] : [element("p", { class: "remark" }, "Nothing is known of a search: the sheets of generated splits say it (",
         element("code", {}, "challenger-bench sheets --split adv"), "), then write the leaderboard again.")]),
