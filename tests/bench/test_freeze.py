@@ -64,6 +64,7 @@ def commit(tree: Path) -> None:
         subprocess.run(["git", *command], cwd=tree, check=True)
 
 
+@pytest.mark.slow
 def test_two_cases_of_a_changed_tree(tmp_path: Path) -> None:
     start = tmp_path / "start"
     for package in PACKAGES:
