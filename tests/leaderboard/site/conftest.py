@@ -49,8 +49,8 @@ def write_site(results: LeaderboardResults, folder: Path) -> str:
     return (folder / "index.html").as_uri()
 
 
-@pytest.fixture(scope="session")
-def no_drawing() -> Iterator[None]:
+@contextlib.contextmanager
+def without_drawing() -> Iterator[None]:
     """Figures have tests of their own and take most of the time."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("leaderboard.figures.contents.RUN_FIGURES", (lambda frame: (FIGURE,),))
@@ -59,12 +59,19 @@ def no_drawing() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def no_drawing() -> Iterator[None]:
+    with without_drawing():
+        yield
+
+
 @pytest.fixture(scope="session")
-def site(no_drawing: None, tmp_path_factory: pytest.TempPathFactory) -> Site:
+def site(tmp_path_factory: pytest.TempPathFactory) -> Site:
     folder = tmp_path_factory.mktemp("site")
     made = make_workspace(folder, SCENES, MODELS, samples=SAMPLES)
     records, sheets = find_records(folder / "runs"), find_scene_pages(folder / "sheets")
-    write_leaderboard(read_results(records, sheets=sheets), folder / "leaderboard")
+    with without_drawing():
+        write_leaderboard(read_results(records, sheets=sheets), folder / "leaderboard")
     return Site(made, tuple(records), sheets, folder / "leaderboard" / "site" / "index.html")
 
 
