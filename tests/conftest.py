@@ -22,8 +22,11 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if (part := config.getoption("--part")) is None:
         return
-    chosen = [item for item in items if part_of(item) == part]
-    config.hook.pytest_deselected(items=[item for item in items if part_of(item) != part])
+    chosen: list[pytest.Item] = []
+    others: list[pytest.Item] = []
+    for item in items:
+        (chosen if part_of(item) == part else others).append(item)
+    config.hook.pytest_deselected(items=others)
     items[:] = chosen
 
 

@@ -16,24 +16,22 @@ def part_of(item: pytest.Item) -> str:
     """A test is slow if it is marked so; of an extension, its marked golden path (``path``) runs with the core."""
     if item.get_closest_marker("slow"):
         return "slow"
-    in_extension = "extensions" in item.path.parts and not item.get_closest_marker("path")
+    # Below the root: the checkout itself may lie in a folder of any name.
+    folders = item.path.relative_to(item.config.rootpath).parts
+    in_extension = "extensions" in folders and not item.get_closest_marker("path")
     return "extensions" if in_extension else "core"
 
 
 def list_changed(root: Path = ROOT) -> list[str]:
     """Changed and new files of the working tree, or the files of the last commit where nothing is changed."""
-    head = ["diff", "--name-only", "--no-renames", "HEAD"]
-    for commands in ([head, ["ls-files", "--others", "--exclude-standard"]], [[*head[:-1], "HEAD~1", "HEAD"]]):
-        lines = [
-            line
-            for command in commands
-            for line in subprocess.run(
-                ["git", *command], cwd=root, capture_output=True, text=True, check=True
-            ).stdout.splitlines()
-        ]
-        if lines:
-            return lines
-    return []
+
+    def git(*words: str) -> list[str]:
+        done = subprocess.run(["git", *words], cwd=root, capture_output=True, text=True, check=True)
+        return done.stdout.splitlines()
+
+    diff = ("diff", "--name-only", "--no-renames")
+    changed = [*git(*diff, "HEAD"), *git("ls-files", "--others", "--exclude-standard")]
+    return changed or git(*diff, "HEAD~1", "HEAD")
 
 
 def select_touched(changed: Iterable[str], root: Path = ROOT) -> list[str]:

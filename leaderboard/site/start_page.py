@@ -5,7 +5,15 @@ from typing import Any
 
 from benchmark.records.run import RunRecord
 from benchmark.report.words import pluralise
-from leaderboard.site.scene_words import address
+from leaderboard.site.scene_words import address, count_marks
+
+_WORDS = {
+    "table": "Every protocol, transfer between planners, causes, what protocols miss and invent.",
+    "planner": "Rates under every protocol, why it collides, its worst scenes, what exactly ran.",
+    "scene": "By manoeuvre, by who fails and who does not; each plays, with all plans.",
+    "attempt": "Vehicles that the search tried as adversaries, and why most were discarded.",
+}
+_PAGES = {"table": "tables", "planner": "models", "scene": "scenes", "attempt": "attempts"}
 
 
 def build_starts(index: Mapping[str, Any], records: Sequence[RunRecord]) -> list[dict[str, Any]]:
@@ -47,9 +55,9 @@ def _find_telling_scene(index: Mapping[str, Any], data: str, plain: set[str]) ->
     """The scene with a sheet on which plain planners differ most; adversarial ones first."""
 
     def rank(scene: Mapping[str, Any]) -> tuple[bool, int, int]:
-        marks = [mark for name, mark in _find_marks(index, scene).items() if name in plain or not plain]
-        bad = sum(mark in "xX" for mark in marks)
-        return bool(scene["manoeuvre"]), min(bad, sum(mark in "ao" for mark in marks)), bad
+        marks = _find_marks(index, scene).items()
+        bad, split = count_marks(mark for name, mark in marks if name in plain or not plain)
+        return bool(scene["manoeuvre"]), split, bad
 
     there = [scene for scene in index["scenes"] if scene["data"] == data and scene["thumb"]]
     return max(there, key=rank, default=None)
@@ -65,15 +73,6 @@ def _describe(index: Mapping[str, Any], scenes: Sequence[Mapping[str, Any]]) -> 
         f"never share a column. Here are {pluralise(len(index['models']), 'planner')} on "
         f"{pluralise(len(scenes), 'scene')}{of_them}: every number with its interval, every scene to play."
     )
-
-
-_WORDS = {
-    "table": "Every protocol, transfer between planners, causes, what protocols miss and invent.",
-    "planner": "Rates under every protocol, why it collides, its worst scenes, what exactly ran.",
-    "scene": "By manoeuvre, by who fails and who does not; each plays, with all plans.",
-    "attempt": "Vehicles that the search tried as adversaries, and why most were discarded.",
-}
-_PAGES = {"table": "tables", "planner": "models", "scene": "scenes", "attempt": "attempts"}
 
 
 def _list_links(index: Mapping[str, Any], data: str, telling: Mapping[str, Any] | None) -> list[list[str]]:
