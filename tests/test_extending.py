@@ -68,11 +68,14 @@ class Environment:
 
 HELP = {"help": "--help", **{f"help {name}": f"{name} --help" for name in ("eval", "drive", "generate")}}
 SMALL = "--data town --out out --workers 1"
+WRITTEN = "eval --data town --workers 1 --model easing --json"
 FIRST = {
     **HELP,
     "build": "data build --root town --town-scenes 1 --frames keyframes --size 96x54 --workers 1",
     "renderer": f"generate {SMALL} --split val-r --renderer outline --outline-px 2 --frames keyframes",
     "judge": f"eval {SMALL} --model easing --easing-m-s2 2 --model constant-velocity --protocol margin --json",
+    "set": f"{WRITTEN} --out set --set easing_m_s2=3",
+    "config": f"{WRITTEN} --out config --config easing.yaml",
     "engine": f"drive {SMALL} --split val --model constant-velocity --engine overshoot --no-baselines --json",
     "default engine": f"drive {SMALL} --split val --model constant-velocity --no-baselines --json",
     "command": "margins --out out",
@@ -121,6 +124,7 @@ def tried(tmp_path_factory: pytest.TempPathFactory) -> Tried:
     # A copy, since an editable installation writes beside the code.
     shutil.copytree(EXAMPLE, work / "package", ignore=shutil.ignore_patterns("*.egg-info", "__pycache__"))
     environment.pip("install", "--no-index", "--no-deps", "--no-build-isolation", "-e", work / "package")
+    (work / "easing.yaml").write_text("easing_m_s2: 3.0\n")
     offers, said = environment.run(FIRST)
     files = text_files(work / "out" / "leaderboard")
     environment.pip("uninstall", "--yes", "challenger-margins")
@@ -155,6 +159,13 @@ def test_a_judge_and_a_planner_stand_in_the_record(tried: Tried) -> None:
         assert stored["protocols"]["margin"] == 1
     stored = json.loads((tried.work / easing["directory"] / "run.json").read_text())
     assert stored["planner"]["settings"]["easing_m_s2"] == 2.0
+
+
+@pytest.mark.parametrize("way", ["set", "config"])
+def test_an_option_may_be_set_or_stand_in_a_file(tried: Tried, way: str) -> None:
+    (run,) = json.loads(tried.said[way].out)
+    stored = json.loads((tried.work / run["directory"] / "run.json").read_text())
+    assert stored["planner"]["settings"]["easing_m_s2"] == 3.0
 
 
 def test_an_engine_drives_otherwise_than_the_default_one(tried: Tried) -> None:
