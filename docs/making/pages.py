@@ -13,6 +13,7 @@ OUTSIDE = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANG
 """Pages that lie beside docs/, with their address on the site."""
 _BLOCK = re.compile(r"^```.*?^```[^\n]*$", re.DOTALL | re.MULTILINE)
 _NAMED = re.compile(r"(?<![\[`])`((?:[\w.-]+/)*[\w.-]+\.md|docs/[\w/-]+/)`(?!\])")
+_BADGE = re.compile(r"^\[!\[[^\n]*/actions/workflows/[^\n]*\n+", re.MULTILINE)
 _LINK = re.compile(r"(!?\[[^\]]*\]\()([^)#:\s]+)((?:#[^)]*)?\))")
 
 
@@ -55,7 +56,7 @@ def on_the_site(text: str, source: Path, address: str) -> str:
         address: Its address on the site.
 
     Returns:
-        The text with links to the site's pages, blocks of code untouched.
+        The text with links to the site's pages, blocks of code untouched; without badges, which are of the repository.
     """
     kept: list[str] = []
 
@@ -74,7 +75,7 @@ def on_the_site(text: str, source: Path, address: str) -> str:
             target = name.removeprefix("docs/")
         return f"{before}{_relative(target, address)}{after}" if target else link.group()
 
-    bare = _LINK.sub(moved, _NAMED.sub(linked, _BLOCK.sub(keep, text)))
+    bare = _LINK.sub(moved, _NAMED.sub(linked, _BADGE.sub("", _BLOCK.sub(keep, text))))
     return re.sub(r"\0(\d+)\0", lambda mark: kept[int(mark.group(1))], bare)
 
 

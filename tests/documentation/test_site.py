@@ -77,6 +77,8 @@ def test_names_of_pages_become_links_from_wherever_they_stand() -> None:
     assert on_the_site("`docs/data.md`", decision, "decisions/0001.md") == f"[{title}](../data.md)"
     assert on_the_site("`data.md`", docs / "limits.md", "limits.md") == f"[{title}](data.md)"
     assert on_the_site("![x](docs/images/site.png)", ROOT / "README.md", "index.md") == "![x](images/site.png)"
+    badge = "[![test](../../actions/workflows/test.yml/badge.svg)](../../actions/workflows/test.yml)\n"
+    assert on_the_site(f"# Name\n\n{badge}\nText.", ROOT / "README.md", "index.md") == "# Name\n\nText."
     assert on_the_site("[a](records.md#rows)", docs / "severity.md", "severity.md") == "[a](records.md#rows)"
     assert on_the_site("`nothing.md` `docs/`", docs / "data.md", "data.md") == "`nothing.md` `docs/`"
     block = "```\ncat `docs/data.md`\n```"
