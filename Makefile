@@ -2,6 +2,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
+# Tests start many processes: each would compile everything anew where this is set.
+unexport PYTHONDONTWRITEBYTECODE
 
 PIP_OPTIONS := --disable-pip-version-check
 PIP := $(BIN)/python -m pip $(PIP_OPTIONS)

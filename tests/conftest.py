@@ -3,7 +3,9 @@
 import gc
 import time
 from collections.abc import Iterator
+from functools import cache
 
+import hypothesis  # noqa: F401 - looks for who refers to its generators, which does not find what is frozen below
 import pytest
 
 from tests.parts import PARTS, part_of
@@ -44,6 +46,20 @@ class Budget:
 
 @pytest.fixture(scope="module", autouse=True)
 def nothing_left_open() -> Iterator[None]:
-    """What a module leaves open is its own failure, not that of whichever test runs when Python notices."""
+    """What a module leaves open is its own failure, not that of whichever test runs when Python notices.
+
+    What is alive after that (imports, session fixtures, the tests themselves) is not looked through again.
+    """
     yield
     gc.collect()
+    gc.freeze()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def town_scenes_are_built_once() -> Iterator[None]:
+    """Data sets of the embedded town take a scene that this process built before: the arguments decide it."""
+    from generation.sources import mini
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mini, "build_town_scene", cache(mini.build_town_scene))
+        yield
