@@ -103,7 +103,7 @@ sys.exit(pytest.main(sys.argv[2:]))
 def test_with_all_gone_every_core_module_imports_and_the_tests_of_the_core_collect(tmp_path: Path) -> None:
     core = sorted(name for name in modules() if "extensions" not in name.split(".") and not name.endswith("__main__"))
     own = [f"--ignore=tests/{package}/extensions" for package in ALLOWED]
-    arguments = ["--collect-only", "-q", "-p", "no:cacheprovider", *own, "tests"]
+    arguments = ["--collect-only", "--assert=plain", "-q", "-p", "no:cacheprovider", *own, "tests"]
     done = run_all_absent(["-c", COLLECTED, ",".join(core), *arguments], ROOT, of=tmp_path)
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr
     told = "benchmark.write_films: this needs the extension films, which is not installed; install it\n"
@@ -124,8 +124,8 @@ for line in sys.stdin.read().splitlines():
     print(json.dumps([code, err.getvalue()]))
 """
 PATH = """
-data build --town-scenes 2 --frames keyframes --size 96x54 --root town --workers 1
-generate --data town --split adv --candidates 64 --vehicles 3 --per-scene 1 --frames keyframes --size 96x54 --workers 1
+data build --town-scenes 1 --frames keyframes --size 96x54 --root town --workers 1
+generate --data town --split adv --candidates 32 --rounds 2 --vehicles 3 --frames keyframes --size 96x54 --workers 1
 eval --data town --model constant-velocity --model constant-velocity-on-path --split val --workers 1
 eval --data town --model constant-velocity --model constant-velocity-on-path --split adv --workers 1
 drive --data town --split adv --model constant-velocity --limit 1 --workers 1

@@ -12,8 +12,6 @@ from typing import Final
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
-from scipy.signal import savgol_filter
 
 from benchmark.geometry import Bools, Floats, box_corners, box_gap
 from benchmark.interactions.contacts import compute_time_to_contact
@@ -159,6 +157,10 @@ def find_stretches(valid: Bools, centres: Floats) -> list[slice]:
 
 def fit_splines(times: Floats, boxes: Floats, samples: Floats) -> SplinedMotion:
     """Smooth the keyframes of a run, (K,) seconds and (K, 5) boxes, and differentiate at (S,) seconds."""
+    # scipy.signal takes two seconds to import.
+    from scipy.interpolate import CubicSpline
+    from scipy.signal import savgol_filter
+
     poses = np.column_stack([boxes[:, :2], np.unwrap(boxes[:, 4])])
     smooth = savgol_filter(poses, _WINDOW, _ORDER, axis=0, mode="interp")
     curve = CubicSpline(times, smooth, bc_type="natural")

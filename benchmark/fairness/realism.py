@@ -9,7 +9,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import wasserstein_distance
 
 from benchmark.geometry import Floats
 
@@ -43,6 +42,8 @@ class Histograms:
 
 def w1(sample: Floats, reference: Floats) -> float:
     """Wasserstein-1 distance of raw samples, at least one each, in the unit of the feature."""
+    from scipy.stats import wasserstein_distance
+
     return float(wasserstein_distance(sample, reference))
 
 

@@ -69,6 +69,7 @@ def _parse_config(path: Path, stored: Any) -> DenoiserConfig:
 def _require_same_shapes(path: Path, config: DenoiserConfig, tensors: Mapping[str, Tensor]) -> None:
     """Compare names and shapes with a network that has no memory yet: a file may claim one of any size."""
     try:
+        # Constants of the network stay on the CPU: arithmetic on this device imports torch's compiler, 3 s.
         with torch.device("meta"):
             expected = TrajectoryDenoiser(config).state_dict()
     except (ArithmeticError, RuntimeError, ValueError) as error:

@@ -90,7 +90,7 @@ class NoiseLevelSinusoid(nn.Module):
     def __init__(self, feature_dim: int) -> None:
         super().__init__()
         half = feature_dim // 2
-        exponents = torch.arange(half, dtype=torch.float32) * -(math.log(1e4) / (half - 1))
+        exponents = torch.arange(half, dtype=torch.float32, device="cpu") * -(math.log(1e4) / (half - 1))
         self.register_buffer("frequencies", exponents.exp(), persistent=False)
 
     def forward(self, level: Tensor) -> Tensor:

@@ -213,13 +213,13 @@ class GaussianPreconditioner(nn.Module):
         super().__init__()
         self.conditioned = conditioned
         self.register_buffer("mean", torch.zeros(ACTIONS))
-        self.register_buffer("axes", torch.eye(ACTIONS))
+        self.register_buffer("axes", torch.eye(ACTIONS, device="cpu"))
         self.register_buffer("variances", torch.ones(ACTIONS))
         self.register_buffer("alpha_bars", torch.tensor(ALPHA_BARS, dtype=torch.float32), persistent=False)
         if conditioned:
             kinds = len(SPEED_EDGES_M_S) + 1
             self.register_buffer("told_mean", torch.zeros(kinds, ACTIONS))
-            self.register_buffer("told_axes", torch.eye(ACTIONS).repeat(kinds, 1, 1))
+            self.register_buffer("told_axes", torch.eye(ACTIONS, device="cpu").repeat(kinds, 1, 1))
             self.register_buffer("told_variances", torch.ones(kinds, ACTIONS))
             self.register_buffer("edges", torch.tensor(SPEED_EDGES_M_S), persistent=False)
 

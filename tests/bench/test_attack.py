@@ -45,17 +45,17 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
     return Campaign(tmp_path_factory.mktemp("attack"), 3, PLANS)
 
 
-def verdicts(campaign: Campaign, count: int) -> set[str]:
-    return {result.verdict for result in run_campaign(campaign, range(count), again=True)}
+def verdicts(campaign: Campaign, *numbers: int) -> set[str]:
+    return {result.verdict for result in run_campaign(campaign, numbers, again=True)}
 
 
 def test_a_reader_that_raises_is_found(campaign: Campaign, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(path: Path) -> Any:
         raise ValueError(path)
 
-    assert not verdicts(campaign, 3) & set(FALLEN)
+    assert not verdicts(campaign, 0, 1, 2) & set(FALLEN)
     monkeypatch.setattr("adapters.plan_file.read_plan_file", broken)
-    assert verdicts(campaign, 3) == {Verdict.TRACEBACK}
+    assert verdicts(campaign, 0, 1, 2) == {Verdict.TRACEBACK}
 
 
 def test_a_reader_that_makes_up_what_it_cannot_read_is_found(
@@ -75,7 +75,7 @@ def test_a_reader_that_makes_up_what_it_cannot_read_is_found(
             return honest(other, *frame)
 
     monkeypatch.setattr("adapters.plan_file.read_plan_file", obliging)
-    assert Verdict.SILENT in verdicts(campaign, 6)
+    assert Verdict.SILENT in verdicts(campaign, 2)
 
 
 def _sleep() -> int:
@@ -132,7 +132,7 @@ def test_every_way_to_fall_is_seen(
         monkeypatch.setattr(module, "MEMORY_BYTES", used)
     monkeypatch.setattr(bench.attacking.children, "patience_s", lambda: 2.0)
     monkeypatch.setattr(bench.attacking.children, "_run", fault)
-    assert verdicts(campaign, 1) == {found}
+    assert verdicts(campaign, 0) == {found}
 
 
 def test_the_same_seed_makes_the_same_variants(tmp_path: Path, campaign: Campaign) -> None:

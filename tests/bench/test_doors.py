@@ -40,6 +40,7 @@ def doors(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DoorCampaign]:
             made.server.end()
 
 
+@pytest.mark.slow
 def test_a_good_planner_of_others_runs_and_a_failing_one_is_a_partial_run(doors: DoorCampaign) -> None:
     places = {(tried.name, *tried.arguments[:1]): number for number, tried in enumerate(doors.tries)}
     codes = [doors.run(places[name, "eval"]).code for name in ("a good one", "plans nothing", "cannot be imported")]

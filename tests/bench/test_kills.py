@@ -30,6 +30,7 @@ def test_a_command_that_is_disturbed_leaves_what_an_undisturbed_one_leaves(
     assert not any(path.startswith("out/timings") for path in listing(bench.case))
 
 
+@pytest.mark.slow
 def test_a_command_that_leaves_a_trace_of_a_kill_is_found(bench: KillBench, monkeypatch: pytest.MonkeyPatch) -> None:
     honest = bench.disturbed(COMMANDS["drive"], "kill", 1, 1)
 
