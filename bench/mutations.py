@@ -20,7 +20,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -109,6 +109,8 @@ def plant(fault: Fault, tree: Path) -> str:
     text = path.read_text()
     parsed = ast.parse(text)
     target = list(ast.walk(parsed))[fault.node]
+    if ast.unparse(target) != fault.before:
+        sys.exit(f"{fault.path} is another file in this tree")
     path.write_text(ast.unparse(ast.fix_missing_locations(Planter(target).visit(parsed))))
     return text
 
@@ -151,7 +153,7 @@ def main() -> None:
     """Plant each fault, run, and write what was caught."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--missed-in", type=Path, help="the file of another run: what it missed alone")
+    parser.add_argument("--missed-in", type=Path, help="the file of another run: the faults that it missed alone")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--count", type=int, default=10, help="faults of each room")
     parser.add_argument("--limit", type=float, default=900.0, help="seconds for the tests of a fault")
@@ -160,15 +162,17 @@ def main() -> None:
     results = json.loads(options.out.read_text()) if options.out.exists() else []
     known = {(each["path"], each["node"], each["before"]) for each in results}
     if options.missed_in:
-        other = json.loads(options.missed_in.read_text())
-        known |= {(each["path"], each["node"], each["before"]) for each in other if each["caught"]}
+        missed = [each for each in json.loads(options.missed_in.read_text()) if not each["caught"]]
+        faults = [(each["room"], Fault(*(each[field.name] for field in fields(Fault)))) for each in missed]
+    else:
+        faults = draw(options.seed, options.count)
     with tempfile.TemporaryDirectory() as temporary:
         tree = Path(temporary) / "tree"
         files = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
         for name in filter(None, files.split("\0")):
             (tree / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, tree / name)
-        for room, fault in draw(options.seed, options.count):
+        for room, fault in faults:
             if (fault.path, fault.node, fault.before) in known or room not in (options.room or ROOMS):
                 continue
             text, start = plant(fault, tree), time.monotonic()

@@ -38,6 +38,7 @@ def terms(scores: EpisodeScores) -> NuplanTerms:
 def test_a_free_road_driven_as_recorded_has_everything() -> None:
     _, scores = scored(FREE, LogReplay())
     assert scores.contact is None and scores.progress.share == pytest.approx(1.0, abs=0.01)
+    assert scores.progress.metres == pytest.approx(scores.progress.recorded_m, abs=0.01)
     found = terms(scores)
     assert (found.nc, found.dac, found.mp, found.ddc, found.ttc, found.c) == (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
     assert found.p == pytest.approx(1.0, abs=0.01) and found.score == pytest.approx(1.0, abs=0.01)

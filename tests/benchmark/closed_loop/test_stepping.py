@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 from benchmark.closed_loop.agent_policy import make_coasting_plan
 from benchmark.closed_loop.plan_tracking import INSTANT_US, LIMITS, SUBSTEP_S, follow_waypoints
 from benchmark.closed_loop.simulation_config import build_simulation_config, interpolate_recorded_poses
+from benchmark.closed_loop.simulation_state import EpisodeMotion
 from benchmark.closed_loop.stepping import InfeasiblePlanError, begin_simulation, is_running, step, step_together
 from benchmark.closed_loop.track_replay import TrackReplay
 from benchmark.closed_loop.world_state import STEP_US, SimulationConfig, compute_ego_boxes
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M, EGO_WHEELBASE_M
 from benchmark.dynamics.lane_path import build_lane_path
 from benchmark.errors import InputError
-from benchmark.geometry import Floats, boxes_overlap, to_local
+from benchmark.geometry import Floats, boxes_overlap, to_local, wrap_angle
 from benchmark.interactions.contacts import KINDS, ContactKind
 from benchmark.planning import Command
 from benchmark.scene import Scene
@@ -126,11 +127,22 @@ def test_a_step_changes_nothing_that_it_was_given() -> None:
 
 def test_constant_speed_is_constant_speed_and_time_whole_microseconds() -> None:
     worlds = driven(course(), straight(8.0), 10)
+    assert [world.step for world in worlds] == list(range(11))
     ego = worlds[-1].ego
     assert ego.x == pytest.approx(50.0 + 8.0 * 5.0, abs=1e-6) and ego.y == pytest.approx(198.25, abs=1e-9)
     assert ego.speed == pytest.approx(8.0, abs=1e-9)
     assert [world.time_us - course().start_us for world in worlds] == [500_000 * number for number in range(11)]
     assert all(isinstance(world.time_us, int) for world in worlds)
+
+
+def test_a_motion_is_linear_between_instants_and_stands_still_before_and_after() -> None:
+    ego, times = np.outer([0.0, 1.0], np.arange(1.0, 8.0)), np.array([0, 100_000])
+    none = {"position": np.zeros((0, 2, 3)), "yaw": np.zeros((0, 2)), "present": np.zeros((0, 2), np.bool_)}
+    motion = EpisodeMotion(times, ego, **none, ticks=times[:1])
+    for time_us, share in ((-50_000, 0.0), (0, 0.0), (50_000, 0.5), (100_000, 1.0), (150_000, 1.0)):
+        expected = share * ego[1]
+        expected[2] = share * wrap_angle(ego[1, 2])
+        assert motion.at(time_us) == pytest.approx(expected)
 
 
 def test_contact_is_seen_within_a_twentieth_of_a_second() -> None:

@@ -40,6 +40,22 @@ def test_contact_between_waypoints_counts_and_is_not_undone() -> None:
     assert outcomes.facts["first_contact_s"] == (0.6,) and outcomes.facts["hit"] == ("s-0",)
 
 
+@pytest.mark.parametrize(("ahead_m", "counts"), [(29.0, True), (31.0, False)])
+def test_vad_counts_who_is_within_thirty_metres_ahead_now(ahead_m: float, counts: bool) -> None:
+    comes = parked(8.0, 8.0)
+    comes[0, 1] = ahead_m
+    found = PROTOCOLS["vad"].evaluate([truth(comes)], np.full((1, 6, 2), 8.0))
+    assert bool(found.collision.any()) == counts
+
+
+@pytest.mark.parametrize("now", [True, False])
+def test_safemvdrive_leaves_out_samples_whose_ego_touches_a_box_that_is_there_now(now: bool) -> None:
+    there = np.full((1, 7), not now)
+    there[0, 0] = now
+    found = PROTOCOLS["safemvdrive-box"].evaluate([truth(parked(0.0, 1.0), annotated=there)], STRAIGHT[None])
+    assert bool(found.counted[0]) != now
+
+
 def test_contact_now_does_not_count() -> None:
     stays = np.zeros((1, 6, 2))
     away = np.concatenate([[[0.0, 1.0, *CAR]], np.tile([50.0, 50.0, *CAR], (6, 1))])

@@ -89,6 +89,8 @@ def test_the_rasters_never_turn_the_ego() -> None:
     turned = beside(left_m=-0.3, turn_rad=np.pi / 2)
     turned.boxes[0, 1:, :2] = turned.ego_future[:, :2] + [0.0, 2.0]
     assert touched(turned, "uniad") == ALL and touched(turned, "vad") == ALL
+    for name in ("uniad", "vad", "stp3"):
+        assert (PROTOCOLS[name].headings(np.zeros((1, 6, 2))) == np.pi / 2).all()
 
 
 @pytest.mark.parametrize("name", NATIVE_PROTOCOLS)

@@ -114,6 +114,9 @@ def test_what_says_nothing_is_no_zero() -> None:
     hit = row("scene-1", end="contact", contact=contact())
     summary = summarise_episodes([hit, row("scene-2", scores=scores(route=None))], {}, seed=0)
     assert summary.columns["impact_speed"].value == 5.0 and summary.columns["impact_speed"].denominator == 1
+    careful = {"cc": {"survives": True}}
+    blameless = compute_column_values(row(end="contact", contact=contact(at_fault=False), ladder=careful))
+    assert blameless["attributable"] == blameless["bystander"] == 0.0
     assert summary.columns["contact"].value == 0.5 and summary.columns["route"].denominator == 1
 
 

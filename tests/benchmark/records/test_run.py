@@ -50,14 +50,14 @@ def test_a_record_of_schema_1_has_unknowns_where_schema_2_has_facts() -> None:
     collision = record.summary.protocols["exact"].columns["collision"]["3s"]
     assert (collision.numerator, collision.denominator) == (8.0, 18)
     assert record.missing_protocols == STANDARD[1:]
-    assert record.run.scene_facts == {} and record.run.rescored is None
+    assert record.run.scene_facts == {} and record.run.rescored is None and not record.run.says_truth
     assert all(row.diagnosis is None and row.disagreements == {} for row in record.rows)
 
 
 def test_records_of_schema_2_keep_forecasts_diagnosis_and_disagreements() -> None:
     record = load_record(GOLDEN / "schema-2")
     assert record.complete and not record.covers_split and len(record.rows) == 40
-    assert record.run.scene_facts["scene-8006-342b7d08"].source == "scene-8006"
+    assert record.run.scene_facts["scene-8006-342b7d08"].source == "scene-8006" and not record.run.says_truth
     assert record.run.scene_facts["scene-8006-342b7d08"].manoeuvre == "cut-in-right"
     assert record.native_protocol == "exact" and record.run.rescored is None
     causes = [row.diagnosis.cause for row in record.rows if row.diagnosis is not None]
