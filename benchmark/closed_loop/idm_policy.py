@@ -300,9 +300,6 @@ class IdmPolicy:
         after = IdmMemory(station, speed, memory.here & (station < self.length), memory.come)
         after = self._add_arrivals(after, moved)
         present[-1, self.driving] |= after.here & ~memory.come
-        boxes[-1, self.driving] = np.where(
-            (after.here & ~memory.come)[:, None], moved.boxes[-1, self.driving], boxes[-1, self.driving]
-        )
         self._set_velocity(velocity, after)
         return after, AgentMotion(boxes, present, velocity)
 
