@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -52,23 +53,34 @@ def guards_types(node: ast.AST) -> bool:
     return isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
 
 
-def imports(path: Path, *, at_run_time: bool = False, inside_functions: bool = True) -> set[str]:
-    """Modules that a file imports, and what it takes from them as ``module.name`` too."""
-    names: set[str] = set()
-    waiting: list[ast.AST] = [ast.parse(path.read_text())]
+@cache
+def import_statements(path: Path) -> tuple[tuple[frozenset[str], bool, bool], ...]:
+    """Of each import: what it names, whether it is for types alone, and whether it stands in a function."""
+    found = []
+    waiting: list[tuple[ast.AST, bool, bool]] = [(ast.parse(path.read_text()), False, False)]
     while waiting:
-        node = waiting.pop()
-        if at_run_time and guards_types(node):
-            continue
-        if not inside_functions and isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            continue
+        node, for_types, inside = waiting.pop()
+        for_types |= guards_types(node)
+        inside |= isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
         if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
+            found.append((frozenset(alias.name for alias in node.names), for_types, inside))
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
-            names |= {node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)}
-        waiting += ast.iter_child_nodes(node)
-    return names
+            names = {node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)}
+            found.append((frozenset(names), for_types, inside))
+        inner = (child for child in ast.iter_child_nodes(node) if not isinstance(child, ast.expr))
+        waiting += [(child, for_types, inside) for child in inner]
+    return tuple(found)
+
+
+def imports(path: Path, *, at_run_time: bool = False, inside_functions: bool = True) -> set[str]:
+    """Modules that a file imports, and what it takes from them as ``module.name`` too."""
+    return {
+        name
+        for names, for_types, inside in import_statements(path)
+        for name in names
+        if not (at_run_time and for_types) and (inside_functions or not inside)
+    }
 
 
 def packages_of(names: set[str]) -> set[str]:

@@ -1,6 +1,5 @@
 """What a wheel of this project holds, and what it asks for."""
 
-import ast
 import json
 import re
 import subprocess
@@ -11,14 +10,16 @@ from importlib.util import find_spec
 import pytest
 
 from tests.packaging.contents import PACKAGES, ROOT, files_of_packages
+from tests.test_layers import imports
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 MODULE_OF = {"nuscenes-devkit": "nuscenes", "opencv-python-headless": "cv2", "pyyaml": "yaml", "pillow": "PIL"}
 BROUGHT_BY_OTHERS = {
     "huggingface_hub": "transformers and diffusers need it; `weights fetch` says so where it is missing"
 }
-SERVERS = ("benchmark/extensions/http/server.py", "benchmark/extensions/http/server.py")
-"""Modules that need an extra when they are imported: `serve` imports them when everything was looked at."""
+SERVER = "benchmark/extensions/http/server.py"
+"""Needs an extra when it is imported: `serve` imports it when everything was looked at."""
+_IMPORTED_BY_NAME = re.compile(r'\bimport_(?:devkit_)?module\("(\w+)')
 NEEDED_BY_OTHERS = {"sentencepiece": "the tokenizer of transformers that renderers load"}
 
 
@@ -41,23 +42,11 @@ def third_party_imports(*, at_import: bool) -> set[str]:
     """Top-level modules of others that the four packages import; with ``at_import`` outside functions and servers."""
     found: set[str] = set()
     for path in (path for package in PACKAGES for path in (ROOT / package).rglob("*.py")):
-        if at_import and path.relative_to(ROOT).as_posix() in SERVERS:
+        if at_import and path == ROOT / SERVER:
             continue
-        waiting: list[ast.AST] = [ast.parse(path.read_text())]
-        while waiting:
-            node = waiting.pop()
-            for_types = isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
-            if for_types or (at_import and isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)):
-                continue
-            if isinstance(node, ast.Import):
-                found |= {alias.name.partition(".")[0] for alias in node.names}
-            elif isinstance(node, ast.ImportFrom):
-                found.add((node.module or "").partition(".")[0])
-            elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("import_module", "devkit_module")):
-                named = node.args[0]
-                if isinstance(named, ast.Constant) and isinstance(named.value, str):
-                    found.add(named.value.partition(".")[0])
-            waiting += ast.iter_child_nodes(node)
+        found |= {name.partition(".")[0] for name in imports(path, at_run_time=True, inside_functions=not at_import)}
+        if not at_import:
+            found |= set(_IMPORTED_BY_NAME.findall(path.read_text()))
     return found - set(sys.stdlib_module_names) - set(PACKAGES)
 
 
