@@ -72,7 +72,7 @@ WRITTEN = "eval --data town --workers 1 --model easing --json"
 FIRST = {
     **HELP,
     "build": "data build --root town --town-scenes 1 --frames keyframes --size 96x54 --workers 1",
-    "renderer": f"generate {SMALL} --split val-r --renderer outline --outline-px 2 --frames keyframes",
+    "renderer": f"generate {SMALL} --split val-r --renderer outline --outline-px 2 --frames keyframes --size 96x54",
     "judge": f"eval {SMALL} --model easing --easing-m-s2 2 --model constant-velocity --protocol margin --json",
     "set": f"{WRITTEN} --out set --set easing_m_s2=3",
     "config": f"{WRITTEN} --out config --config easing.yaml",

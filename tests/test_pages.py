@@ -48,7 +48,9 @@ def test_the_planner_of_the_readme_drives(tmp_path: Path, monkeypatch: pytest.Mo
     town = benchmark.build_town(tmp_path / "town", tiny(), workers=1)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
-    said = run_main("eval", "--data", town, "--split", "val", "--model", "my_planner:MyPlanner", "--json")
+    said = run_main(
+        "eval", "--data", town, "--split", "val", "--model", "my_planner:MyPlanner", "--json", "--workers", "1"
+    )
     assert said.code == 0, said.err
     summary = said.json[0]
     assert summary["failed"] == 0 and summary["samples"] > 0
