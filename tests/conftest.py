@@ -58,8 +58,8 @@ def nothing_left_open() -> Iterator[None]:
 @pytest.fixture(scope="session", autouse=True)
 def town_scenes_are_built_once() -> Iterator[None]:
     """Data sets of the embedded town take a scene that this process built before: the arguments decide it."""
-    from generation.sources import mini
+    from generation.sources.town import build_town_scene
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mini, "build_town_scene", cache(mini.build_town_scene))
+        patch.setattr("generation.sources.mini.build_town_scene", cache(build_town_scene))
         yield

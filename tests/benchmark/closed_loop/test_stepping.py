@@ -137,8 +137,8 @@ def test_constant_speed_is_constant_speed_and_time_whole_microseconds() -> None:
 
 def test_a_motion_is_linear_between_instants_and_stands_still_before_and_after() -> None:
     ego, times = np.outer([0.0, 1.0], np.arange(1.0, 8.0)), np.array([0, 100_000])
-    none = {"position": np.zeros((0, 2, 3)), "yaw": np.zeros((0, 2)), "present": np.zeros((0, 2), np.bool_)}
-    motion = EpisodeMotion(times, ego, **none, ticks=times[:1])
+    alone = np.zeros((0, 2, 3)), np.zeros((0, 2)), np.zeros((0, 2), np.bool_)
+    motion = EpisodeMotion(times, ego, *alone, times[:1])
     for time_us, share in ((-50_000, 0.0), (0, 0.0), (50_000, 0.5), (100_000, 1.0), (150_000, 1.0)):
         expected = share * ego[1]
         expected[2] = share * wrap_angle(ego[1, 2])
