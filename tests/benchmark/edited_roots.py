@@ -1,8 +1,12 @@
 """Copies of a root with edited tables: files are linked, tables are one's own."""
 
+import atexit
 import json
 import shutil
+import tempfile
 from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +17,19 @@ Row = dict[str, Any]
 
 
 def small_town(root: Path, scenes: int = 1, *, images: bool = False) -> Path:
-    """Some scenes of the embedded town, all of them in ``val``."""
-    return benchmark.build_town(root, TownSettings(val_scenes=scenes, images=images), workers=1)
+    """Some scenes of the embedded town, all of them in ``val``; images are small and of keyframes."""
+    return Path(shutil.copytree(_built_town(root.name, scenes, images), root, dirs_exist_ok=True))
+
+
+@cache
+def _built_town(name: str, scenes: int, images: bool) -> Path:
+    """A town that is copied wherever this process wants such a one."""
+    folder = tempfile.mkdtemp(prefix="town-")
+    atexit.register(shutil.rmtree, folder)
+    settings = TownSettings(val_scenes=scenes, images=images)
+    if images:
+        settings = replace(settings, width=96, height=54, frames="keyframes")
+    return benchmark.build_town(Path(folder) / name, settings, workers=1)
 
 
 def copy_of(source: Path, target: Path) -> Path:

@@ -10,7 +10,7 @@ from benchmark.records.driven_ego import read_driven_ego_targets
 from benchmark.records.drives import DriveRecord, find_drives
 from tests.benchmark.cli.cli_runs import run_main
 
-SMALL = ("--town-scenes", "1", "--size", "64x40", "--frames", "keyframes", "--workers", "1")
+SMALL = ("--town-scenes", "1", "--renderer", "none", "--workers", "1")
 
 
 @pytest.fixture(scope="module")
@@ -20,18 +20,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def town_and_drive(place: Path) -> Path:
     """A town of two training scenes that constant velocity was driven through."""
-    built = run_main("data", "build", "--root", place / "road", "--train-scenes", "2", "--renderer", "none", *SMALL)
+    built = run_main("data", "build", "--root", place / "road", "--train-scenes", "2", *SMALL)
     assert built.code == 0, built.err
     done = drive(place, "train")
     assert done.planner == "constant-velocity"
     return place
 
 
-def drive(place: Path, split: str, agents: str = "replay", until: str = "contact") -> DriveRecord:
+def drive(place: Path, split: str, agents: str = "replay", until: str = "contact", limit: int = 2) -> DriveRecord:
     out = place / f"{split} {agents}{'' if until == 'contact' else ' until fault'}"
     done = run_main(
         "drive", "--model", "constant-velocity", "--no-baselines", "--data", place / "road", "--split", split,
-        "--agents", agents, "--until", until, "--out", out, "--workers", "1",
+        "--agents", agents, "--until", until, "--out", out, "--workers", "1", "--limit", str(limit),
     )  # fmt: skip
     assert done.code == 0, done.err
     (record,) = find_drives(out)
@@ -70,11 +70,11 @@ def test_drives_of_another_town_or_of_no_training_scene_are_refused(folder: Path
 
 
 def test_drives_in_which_others_answered_are_refused(folder: Path) -> None:
-    answered = drive(folder, "train", "idm")
+    answered = drive(folder, "train", "idm", limit=1)
     refused = run_main("data", "build", "--root", folder / "answered", "--driven", answered.directory, *SMALL)
     assert refused.code == 2
     assert "--agents idm" in refused.err
-    left = drive(folder, "train", until="fault")
+    left = drive(folder, "train", until="fault", limit=1)
     refused = run_main("data", "build", "--root", folder / "left", "--driven", left.directory, *SMALL)
     assert refused.code == 2
     assert "--until fault" in refused.err

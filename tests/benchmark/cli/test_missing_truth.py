@@ -62,18 +62,18 @@ def test_a_scene_without_annotations_is_warned_about_once_and_marks_the_row(town
 
 
 def test_unknown_categories_are_dashes_unless_a_judge_that_goes_by_them_is_named(foreign: Path, tmp_path: Path) -> None:
-    done = evaluated(foreign, tmp_path / "out")
+    done = evaluated(foreign, tmp_path / "out", "--limit", "1")
     assert done.code == 0 and "unknown categories ('vehicle_car', " in done.err
-    named = evaluated(foreign, tmp_path / "out", "--protocol", "uniad")
+    named = evaluated(foreign, tmp_path / "out", "--limit", "1", "--protocol", "uniad")
     assert named.code == 2 and "uniad, which depends on categories" in named.err
     own = run_here("eval", "--model", "vad-mini", "--data", foreign, "--split", "val", "--out", tmp_path / "out")
     assert own.code == 2 and "vad, which depends on categories" in own.err
-    assert evaluated(foreign, tmp_path / "out", "--protocol", "exact").code == 0
-    assert evaluated(foreign, tmp_path / "out", "--protocol", "all").code == 0
+    assert evaluated(foreign, tmp_path / "out", "--limit", "1", "--protocol", "exact").code == 0
+    assert evaluated(foreign, tmp_path / "out", "--limit", "1", "--protocol", "all").code == 0
 
 
 def test_a_map_of_categories_is_taken_by_name_and_refused_before_anything_else(foreign: Path, tmp_path: Path) -> None:
-    done = evaluated(foreign, tmp_path / "out", "--protocol", "uniad", "--categories", "short")
+    done = evaluated(foreign, tmp_path / "out", "--limit", "1", "--protocol", "uniad", "--categories", "short")
     assert done.code == 0 and "warning" not in done.err and "--categories short" in done.err
     assert run_here("data", "check", foreign, "--categories", "short").out.startswith("0 errors, 0 warnings")
     for command in (("eval", "--model", "stop"), ("drive",), ("generate",)):
@@ -86,7 +86,9 @@ def test_a_missing_map_is_said_once_for_each_planner_and_marks_the_row(town: Pat
     shutil.move(root / "maps" / "expansion", tmp_path / "data" / "expansion")
     checked = run_here("data", "check", root)
     assert checked.code == 0 and "lies at ../expansion/boston-seaport.json" in checked.out
-    done = run_here("eval", "--data", root, "--model", "idm", "--model", "stop", "--out", tmp_path / "out")
+    done = run_here(
+        "eval", "--data", root, "--model", "idm", "--model", "stop", "--limit", "1", "--out", tmp_path / "out"
+    )
     warnings = [line for line in done.err.splitlines() if line.startswith("warning: ")]
     assert done.code == 0 and [line.split(":")[1] for line in warnings] == [" idm", " stop"]
     assert (
@@ -94,5 +96,5 @@ def test_a_missing_map_is_said_once_for_each_planner_and_marks_the_row(town: Pat
         and "drives straight instead" in warnings[0]
         and "drives straight instead" not in warnings[1]
     )
-    sound = run_here("eval", "--data", town, "--model", "idm", "--out", tmp_path / "sound")
+    sound = run_here("eval", "--data", town, "--model", "idm", "--limit", "1", "--out", tmp_path / "sound")
     assert sound.code == 0 and "warning" not in sound.err and "¶" not in sound.out

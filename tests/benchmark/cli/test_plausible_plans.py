@@ -18,7 +18,7 @@ from tests.benchmark.cli.in_process import run_here
 from tests.benchmark.edited_roots import small_town
 from tests.benchmark.untrusted.misread import MISREAD, to_ego
 
-SCENES = 4
+SCENES = 2
 Plans = dict[str, Floats]
 
 

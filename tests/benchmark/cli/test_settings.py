@@ -18,7 +18,8 @@ from benchmark.errors import InputError
 from benchmark.machine.extension import OFFERS, parse_extension_name
 from tests.benchmark.cli.cli_runs import refusal
 from tests.benchmark.cli.in_process import Done, run_here
-from tests.benchmark.cli.small_path import SEARCH, SMALL, done, small_town
+from tests.benchmark.cli.small_path import done
+from tests.benchmark.edited_roots import small_town
 from tests.whole_product import needs_extensions
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -170,7 +171,7 @@ def test_commands_of_extensions_declare_their_settings() -> None:
 @pytest.fixture(scope="module")
 def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("desk")
-    small_town(folder / "town")
+    small_town(folder / "town", 2)
     return folder
 
 
@@ -209,15 +210,18 @@ def test_a_record_of_drives_can_be_fed_back(desk: Path, monkeypatch: pytest.Monk
 
 
 def test_the_search_of_a_split_can_be_fed_back(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = ("--data", "town", *SMALL, "--limit", "1", "--renderer", "none")
-    search = (*SEARCH, "--seed", "5", "--set", "clearance_m=0.2", "--keep-unsolvable", "--calls", "2")
-    again(desk, monkeypatch, "generate", *asked, *search, "--out", "first")
+    asked = ("--data", "town", "--limit", "1", "--renderer", "none")
+    search = ("--preset", "near", "--candidates", "16", "--rounds", "2", "--vehicles", "2", "--calls", "2")
+    rest = ("--seed", "5", "--set", "clearance_m=0.2", "--keep-unsolvable")
+    again(desk, monkeypatch, "generate", *asked, *search, *rest, "--out", "first")
     record = Path("first/data/town/adv/search.json")
     again(desk, monkeypatch, "generate", *asked, "--config", record, "--out", "second")
     other = Path("second/data/town/adv/search.json")
     assert other.read_bytes() == record.read_bytes()
     tables = {path.name: path.read_bytes() for path in Path("first/data/town/adv").glob("v1.0-*/*.json")}
-    assert tables == {path.name: path.read_bytes() for path in Path("second/data/town/adv").glob("v1.0-*/*.json")}
+    assert tables and tables == {
+        path.name: path.read_bytes() for path in Path("second/data/town/adv").glob("v1.0-*/*.json")
+    }
 
 
 def test_a_damaged_record_is_refused(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ def test_the_grouping_changes_no_byte(settings: DriveSettings, tmp_path: Path) -
     alone = bytes_below(tmp_path / "alone")
     assert len(list((tmp_path / "alone").rglob("drives.jsonl"))) == 3
     # Two scenes of three planners: in fours across scenes, and all at once.
-    for together in (4, 6):
+    for together in (4, 6) if settings is REPLAY else (4,):
         records = driven(tmp_path / str(together), replace(settings, together=together), [*PLANNERS, FAILING])
         assert [record.planner for record in records] == [*(each.name for each in PLANNERS), "failing"]
         assert bytes_below(tmp_path / str(together)) == alone

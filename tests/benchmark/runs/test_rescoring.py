@@ -23,6 +23,8 @@ from tests.benchmark.records.test_run import GOLDEN
 from tests.benchmark.test_evaluation import contents
 
 ALL = tuple(PROTOCOLS)
+TWO = ("exact", "uniad")
+"""Enough where it does not matter who judges."""
 DATA = town_of_two(slow_leader=True)
 
 
@@ -35,6 +37,14 @@ def judged_by_exact(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of a planner that fails once a scene, judged by one protocol only."""
     out = tmp_path_factory.mktemp("runs")
     return evaluate(DATA, "val", Failing(), out, EvalSettings(protocols=("exact",))).directory
+
+
+@pytest.fixture(scope="module")
+def undisturbed(judged_by_exact: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """What rescoring that nobody kills leaves."""
+    directory = Path(shutil.copytree(judged_by_exact, tmp_path_factory.mktemp("undisturbed") / "failing"))
+    rescore(directory, DATA, protocols=TWO)
+    return contents(directory)
 
 
 @pytest.fixture
@@ -53,7 +63,7 @@ def run_json(directory: Path) -> Any:
 def all_of(root: Path, data: FakeData = DATA) -> dict[str, tuple[str, bool]]:
     return {
         result.directory.relative_to(root).as_posix(): (result.sentence, result.failed)
-        for result in rescore_all(root, lambda split: data, data.name, ALL)
+        for result in rescore_all(root, lambda split: data, data.name, TWO)
     }
 
 
@@ -75,7 +85,7 @@ def test_plans_errors_planner_and_its_environment_stay(directory: Path) -> None:
     facts["environment"] = {"hardware": {"cpu": "another machine"}}
     facts["planner"]["native_protocol"] = "vad"
     (directory / "run.json").write_text(json.dumps(facts))
-    before, after = load_record(directory), rescore(directory, DATA, protocols=ALL)
+    before, after = load_record(directory), rescore(directory, DATA, protocols=TWO)
     assert after.run.environment == before.run.environment != after.run.rescored
     assert after.run.planner == before.run.planner and after.native_protocol == "vad"
     assert [(row.plan, row.error, row.status) for row in after.rows] == [
@@ -86,10 +96,10 @@ def test_plans_errors_planner_and_its_environment_stay(directory: Path) -> None:
 
 
 def test_doing_it_again_writes_nothing(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    rescore(directory, DATA, protocols=ALL)
+    rescore(directory, DATA, protocols=TWO)
     before, times = contents(directory), {path: path.stat().st_mtime_ns for path in directory.rglob("*")}
     monkeypatch.setattr("benchmark.runs.rescoring.environment_facts", lambda: {"hardware": {"cpu": "another machine"}})
-    rescore(directory, DATA, protocols=(*ALL, ALL[0]))
+    rescore(directory, DATA, protocols=(*TWO, TWO[0]))
     assert contents(directory) == before
     assert {path: path.stat().st_mtime_ns for path in directory.rglob("*")} == times
 
@@ -117,7 +127,7 @@ def test_a_changed_protocol_makes_records_stale_until_they_are_rescored(
 
     monkeypatch.setitem(PROTOCOLS, "exact", Stricter())
     assert load_record(directory).stale_protocols == ("exact",)
-    record = rescore(directory, DATA, protocols=ALL)
+    record = rescore(directory, DATA, protocols=TWO)
     assert record.stale_protocols == () and record.summary.protocols["exact"].version == 99
 
 
@@ -147,33 +157,33 @@ def test_records_of_schema_1_are_rescored(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("killed_at", range(1, 7))
 def test_killed_anywhere_the_old_record_loads_or_rescoring_again_finishes(
-    directory: Path, tmp_path: Path, killed_at: int, monkeypatch: pytest.MonkeyPatch
+    directory: Path, undisturbed: dict[str, bytes], killed_at: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    undisturbed = Path(shutil.copytree(directory, tmp_path / "undisturbed"))
-    rescore(undisturbed, DATA, protocols=ALL)
     old = load_record(directory)
     with monkeypatch.context() as patch, pytest.raises(Killed):
         kill_at(patch, killed_at)
-        rescore(directory, DATA, protocols=ALL)
+        rescore(directory, DATA, protocols=TWO)
     try:
         assert load_record(directory) == old
     except InputError as error:
         assert killed_at > 4 and "run challenger-bench rescore again" in str(error)
     assert all_of(directory.parent) == {"failing": ("current" if killed_at > 3 else "rescored", False)}
-    assert contents(directory) == contents(undisturbed)
+    assert contents(directory) == undisturbed
 
 
 @pytest.mark.parametrize("killed_at", [1, 3, 5, 6])
 def test_killed_while_it_replaces_a_record_eval_can_be_started_again(
     directory: Path, tmp_path: Path, killed_at: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out = tmp_path / "runs"
+    out, settings = tmp_path / "runs", EvalSettings(protocols=TWO)
     with monkeypatch.context() as patch, pytest.raises(Killed):
         kill_at(patch, killed_at, ".pending")
-        evaluate(DATA, "val", Failing(), out)
-    again = evaluate(DATA, "val", Failing(), out)
+        evaluate(DATA, "val", Failing(), out, settings)
+    again = evaluate(DATA, "val", Failing(), out, settings)
     assert again.directory == directory
-    assert contents(directory) == contents(evaluate(DATA, "val", Failing(), tmp_path / "undisturbed").directory)
+    assert contents(directory) == contents(
+        evaluate(DATA, "val", Failing(), tmp_path / "undisturbed", settings).directory
+    )
 
 
 def kill_at(patch: pytest.MonkeyPatch, count: int, ending: str = "") -> None:
@@ -235,7 +245,7 @@ def test_one_damaged_record_does_not_stop_the_others(directory: Path, tmp_path: 
     root = tmp_path / "runs"
     for name in ("current", "foreign", "moved", "truncated"):
         shutil.copytree(directory, root / name)
-    rescore(root / "current", DATA, protocols=ALL)
+    rescore(root / "current", DATA, protocols=TWO)
     change(root / "foreign", data={**run_json(directory)["data"], "name": "another"})
     change(root / "moved", data={**run_json(directory)["data"], "fingerprint": "0" * 64})
     (root / "truncated" / "samples.jsonl").write_bytes((directory / "samples.jsonl").read_bytes()[:-9])
@@ -260,7 +270,7 @@ def test_a_split_that_cannot_be_opened_fails_its_records_only(directory: Path, t
             raise InputError("split 'adv' has not been generated")
         return DATA
 
-    found = list(rescore_all(tmp_path / "runs", open_split, "fake", ALL))
+    found = list(rescore_all(tmp_path / "runs", open_split, "fake", TWO))
     assert [result.failed for result in found] == [False, True] and asked == ["val", "adv"]
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from adapters.registry import planner_factory
 from benchmark.datasets.roots import DataSet, open_data
-from benchmark.evaluation import evaluate
+from benchmark.evaluation import EvalSettings, evaluate_together
 from benchmark.geometry import Floats
 from benchmark.records.run import RunRecord
 from benchmark.untrusted.plan_plausibility import (
@@ -120,8 +120,8 @@ def test_wrong_readings_of_noisy_plans_are_found_all_the_same(futures: Floats, s
 @pytest.fixture(scope="module")
 def records(town: DataSet, tmp_path_factory: pytest.TempPathFactory) -> dict[str, RunRecord]:
     """Every planner of ours that needs no pictures."""
-    out = tmp_path_factory.mktemp("runs")
-    return {name: evaluate(town, "val", planner_factory(name), out) for name in BLIND}
+    planners = [(planner_factory(name), EvalSettings(("exact",))) for name in BLIND]
+    return dict(zip(BLIND, evaluate_together(town, "val", planners, tmp_path_factory.mktemp("runs")), strict=True))
 
 
 @pytest.mark.parametrize("name", BLIND)
