@@ -13,8 +13,9 @@ from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.planning import PrivilegedPlanner, SceneInfo
 from benchmark.runs.code_identity import APART, code_sha256
-from generation.sources.mini import TownSettings, build_town_data_set
+from generation.sources.town import build_town_scene
 from tests.benchmark.fake_data import town_of_two
+from tests.generation.nuscenes_writer.written_roots import write_root
 
 LONELY = """
 import beside, importlib, pathlib
@@ -74,9 +75,9 @@ def test_a_planner_that_is_made_by_its_own_class_has_one_identity() -> None:
 
 @pytest.fixture(scope="module")
 def town(tmp_path_factory: pytest.TempPathFactory) -> NuScenesData:
-    root = build_town_data_set(
-        tmp_path_factory.mktemp("town"), TownSettings(val_scenes=1, frames="keyframes"), workers=1
-    )
+    """The first seconds of one scene."""
+    root = tmp_path_factory.mktemp("town")
+    write_root(root, [build_town_scene("val", 0).first_frames(60)])
     return NuScenesData.open(root)
 
 
