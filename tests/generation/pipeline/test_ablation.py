@@ -11,18 +11,18 @@ from benchmark.errors import InputError
 from benchmark.records.ablation import VARIANTS, AblationReport, read_ablation
 from generation.pipeline.ablation import estimate_ablation, run_ablation
 from generation.pipeline.surrogate import PlannerUnderTest
+from tests.generation.labels.recorded_roads import BUSY, contents, recorded, write_source
 from tests.generation.labels.recorded_roads import CHEAP as DEAR
-from tests.generation.labels.recorded_roads import contents, recorded, write_source
 from tests.generation.search.drivers import Drivers, RaisingDriver
 
-CHEAP = replace(DEAR, hyper=replace(DEAR.hyper, tries=1))
+CHEAP = replace(DEAR, hyper=replace(DEAR.hyper, candidates=8, rounds=1, tries=1))
 FAST = PlannerUnderTest(Drivers(speed=10.0), images=False)
 
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
     root = tmp_path_factory.mktemp("recorded")
-    return write_source(root, recorded("scene-9901"), recorded("scene-9902", seconds=9.0))
+    return write_source(root, recorded("scene-9901", BUSY[:4]), recorded("scene-9902", BUSY[:1], seconds=9.0))
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ from tests.generation.labels.recorded_roads import CHEAP, HYPER, contents, recor
 from tests.generation.search.driving_prior import DrivingPrior
 from tests.hand_made import Car
 
-ONCE = replace(HYPER, tries=1)
+ONCE = replace(HYPER, candidates=8, rounds=1, tries=1)
 SINGLES = replace(CHEAP, hyper=ONCE)
 PAIRS = replace(SINGLES, adversaries=2)
 

@@ -17,7 +17,6 @@ from generation.pipeline.settings import BuildSettings
 from generation.pipeline.shards import build_shard, draw_frozen_shard
 from generation.pipeline.split import NothingSurvivedError, build_split
 from generation.pipeline.surrogate import PlannerUnderTest
-from generation.render.schematic import SchematicRenderer
 from generation.search.hyperparameters import HyperParameters
 from generation.splits.building import build_frozen
 from generation.splits.packaged import NamedSplit, read_frozen_split
@@ -25,17 +24,17 @@ from tests.benchmark.cli.in_process import run_here
 from tests.benchmark.planners import Factory
 from tests.generation.labels.recorded_roads import CHEAP as DEAR
 from tests.generation.labels.recorded_roads import contents, recorded, write_source
+from tests.generation.splits.frozen_files import FrontRenderer
 from tests.hand_made import Car
 
-CHEAP = replace(DEAR, hyper=HyperParameters(candidates=12, rounds=1, tries=1))
-DRAWN = replace(CHEAP, renderer=SchematicRenderer(48, 32), frames="keyframes", keep_rounds=True)
+CHEAP = replace(DEAR, hyper=HyperParameters(candidates=4, rounds=0, tries=1))
+DRAWN = replace(CHEAP, renderer=FrontRenderer(48, 32), frames="keyframes", keep_rounds=True, limit=2)
 
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
-    other = Car(45.0, 201.75, 8.0)
     ahead = {"scene-9901": 10.0, "scene-9902": 2.0, "scene-9903": 6.0}
-    roads = [recorded(name, (Car(52.0 + ahead_m, 194.75, 9.0), other)) for name, ahead_m in ahead.items()]
+    roads = [recorded(name, (Car(52.0 + ahead_m, 194.75, 9.0),)) for name, ahead_m in ahead.items()]
     return write_source(tmp_path_factory.mktemp("recorded"), *roads)
 
 
@@ -87,8 +86,10 @@ def folders(root: Path) -> set[Path]:
     return {path.relative_to(root) for path in root.rglob("*") if path.is_dir()}
 
 
-def test_several_adversaries_and_a_choice_of_the_best_can_be_cut(source: DataSet, tmp_path: Path) -> None:
-    wanted = replace(CHEAP, adversaries=2, total=2)
+def test_several_adversaries_and_a_choice_of_the_best_can_be_cut(tmp_path: Path) -> None:
+    cars = Car(62.0, 194.75, 9.0), Car(45.0, 201.75, 8.0)
+    source = write_source(tmp_path / "recorded", recorded("scene-9901", cars), recorded("scene-9902", cars))
+    wanted = replace(CHEAP, adversaries=2, total=1)
     build_split(source, "adv", replace(wanted, out=tmp_path / "whole"))
     settings = replace(wanted, out=tmp_path / "cut")
     assert shards(source, settings, 2) == ["searched", "searched"]

@@ -19,8 +19,12 @@ from generation.pipeline.report import estimate_build
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import NothingSurvivedError, build_split
 from generation.search.candidates import ExclusionReason
-from tests.generation.labels.recorded_roads import CHEAP, HYPER, contents, recorded, write_source
+from tests.generation.labels.recorded_roads import CHEAP as DEAR
+from tests.generation.labels.recorded_roads import contents, recorded, write_source
 from tests.hand_made import Car
+
+HYPER = replace(DEAR.hyper, candidates=8, rounds=1, tries=1)
+CHEAP = replace(DEAR, hyper=HYPER)
 
 
 def few_cars(name: str, ahead_m: float) -> Scene:

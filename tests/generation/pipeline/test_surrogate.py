@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,14 +15,16 @@ from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.machine.workspace import is_finished
 from benchmark.records.rows import find_scene_failures
 from benchmark.scene import Camera, Scene
+from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import NothingSurvivedError, build_split
 from generation.pipeline.surrogate import PlannerUnderTest
 from generation.render.contract import Images
-from generation.render.schematic import SchematicRenderer
-from tests.generation.labels.recorded_roads import BUSY, CHEAP, contents, recorded, write_source
+from tests.generation.labels.recorded_roads import CHEAP as DEAR
+from tests.generation.labels.recorded_roads import HYPER, contents, recorded, write_source
 from tests.generation.search.drivers import Drivers, LookingDriver, RaisingDriver
-from tests.hand_made import scene_on_straight_road
+from tests.generation.splits.frozen_files import FrontRenderer
 
+CHEAP = replace(DEAR, hyper=replace(HYPER, candidates=8, rounds=1, tries=1))
 FAST = PlannerUnderTest(Drivers(speed=10.0), images=False)
 SLOWER = PlannerUnderTest(Drivers(speed=9.0), images=False)
 """Fails on some of the adversaries of a single scene, where the faster one may fail on all."""
@@ -37,11 +40,11 @@ class CountingRenderer:
     drawn: list[str] = field(default_factory=list, compare=False)
 
     def cameras(self, scene: Scene) -> tuple[Camera, ...]:
-        return SchematicRenderer(64, 40).cameras(scene)
+        return FrontRenderer(64, 40).cameras(scene)
 
     def render(self, scene: Scene, frames: Sequence[int]) -> Iterator[Images]:
         self.drawn.append(" ".join(scene.adversaries))
-        return SchematicRenderer(64, 40).render(scene, frames)
+        return FrontRenderer(64, 40).render(scene, frames)
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +60,13 @@ def built(source: DataSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+def searched(built: Path, out: Path) -> Path:
+    """A root in which the search is done and nothing else."""
+    attempts = Path(".challenger", "attempts")
+    shutil.copytree(built / attempts, out / attempts)
+    return out
+
+
 def failures(root: Path, out: Path) -> dict[str, bool | None]:
     record = evaluate(open_data(root), "adv", Drivers(speed=10.0), out, EvalSettings(protocols=("exact",)))
     return find_scene_failures(record.rows, "exact")
@@ -65,8 +75,9 @@ def failures(root: Path, out: Path) -> dict[str, bool | None]:
 def test_what_is_written_fails_the_surrogate_and_what_is_not_does_not(
     source: DataSet, built: Path, tmp_path: Path
 ) -> None:
-    everything = build_split(source, "adv", replace(CHEAP, out=tmp_path / "all"))
-    expected = {name for name, failed in failures(tmp_path / "all", tmp_path / "runs").items() if failed}
+    out = searched(built, tmp_path / "all")
+    everything = build_split(source, "adv", replace(CHEAP, out=out))
+    expected = {name for name, failed in failures(out, tmp_path / "runs").items() if failed}
     assert 0 < len(expected) < len(everything.written)
     assert set(open_data(built).scene_names("adv")) == expected
     assert all(failures(built, tmp_path / "again").values())
@@ -84,7 +95,7 @@ def test_the_report_says_what_the_surrogate_did(built: Path) -> None:
 def test_kills_do_not_change_the_bytes(
     source: DataSet, built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out = tmp_path / "out"
+    out = searched(built, tmp_path / "out")
     settings = replace(CHEAP, out=out, surrogate=FAST)
 
     def killed(*arguments: object, **options: object) -> None:
@@ -104,12 +115,14 @@ def test_kills_do_not_change_the_bytes(
     assert contents(out) == contents(built)
 
 
-def test_pictures_drawn_for_the_surrogate_are_used_again(tmp_path: Path) -> None:
-    scene = scene_on_straight_road(BUSY, seconds=8.0, name="scene-9901")
-    source, renderer = write_source(tmp_path / "source", scene), CountingRenderer()
-    settings = replace(
-        CHEAP, out=tmp_path / "out", renderer=renderer, frames="keyframes", layout="per-variant", surrogate=LOOKING
-    )
+def counted(built: Path, out: Path, **changes: Any) -> tuple[CountingRenderer, BuildSettings]:
+    """Of one scene, in which the search is done."""
+    renderer = CountingRenderer()
+    return renderer, replace(CHEAP, out=searched(built, out), renderer=renderer, frames="keyframes", limit=1, **changes)
+
+
+def test_pictures_drawn_for_the_surrogate_are_used_again(source: DataSet, built: Path, tmp_path: Path) -> None:
+    renderer, settings = counted(built, tmp_path / "out", layout="per-variant", surrogate=LOOKING)
     report = build_split(source, "adv", settings)
     assert 0 < len(report.written) < report.survived == len(renderer.drawn) == len(set(renderer.drawn))
     pictures = sorted((tmp_path / "out").glob("**/samples/CAM_FRONT/*.jpg"))
@@ -123,10 +136,8 @@ def test_pictures_drawn_for_the_surrogate_are_used_again(tmp_path: Path) -> None
     assert len(data.scene_names("adv")) == len(report.written)
 
 
-def test_a_planner_that_does_not_look_costs_no_pictures(tmp_path: Path) -> None:
-    scene = scene_on_straight_road(BUSY, seconds=8.0, name="scene-9901")
-    source, renderer = write_source(tmp_path / "source", scene), CountingRenderer()
-    settings = replace(CHEAP, out=tmp_path / "out", renderer=renderer, frames="keyframes", surrogate=SLOWER)
+def test_a_planner_that_does_not_look_costs_no_pictures(source: DataSet, built: Path, tmp_path: Path) -> None:
+    renderer, settings = counted(built, tmp_path / "out", surrogate=SLOWER)
     report = build_split(source, "adv", settings)
     assert len(renderer.drawn) == len(report.written) < report.survived
 
@@ -140,12 +151,12 @@ def test_limits_count_scenes_that_fail(source: DataSet, built: Path, tmp_path: P
     assert report.dropped.keys() == {"surrogate-does-not-fail", "beyond-the-number-kept"}
 
 
-def test_a_surrogate_that_raises_is_no_surrogate(source: DataSet, tmp_path: Path) -> None:
+def test_a_surrogate_that_raises_is_no_surrogate(source: DataSet, built: Path, tmp_path: Path) -> None:
     raising = PlannerUnderTest(Drivers(RaisingDriver), images=False)
-    settings = replace(CHEAP, out=tmp_path / "out", surrogate=raising, limit=1)
+    out = searched(built, tmp_path / "out")
     with pytest.raises(InputError, match=r"raising raised on \d+ of \d+ samples"):
-        build_split(source, "adv", settings)
-    assert not is_finished(tmp_path / "out")
+        build_split(source, "adv", replace(CHEAP, out=out, surrogate=raising, limit=1))
+    assert not is_finished(out)
 
 
 def test_a_surrogate_that_never_fails_leaves_nothing(source: DataSet, built: Path, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmark.datasets.roots import DataSet
-from benchmark.scene import Scene
+from benchmark.scene import Camera, Scene
 from generation.nuscenes_writer import DataSetPlan, SourceInfo
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import build_split
@@ -25,7 +25,15 @@ from generation.splits.tracks import add_frozen_adversaries, compute_tables_dige
 from tests.generation.labels.recorded_roads import CHEAP, write_source
 from tests.hand_made import Car, scene_on_straight_road
 
-DRAWN = SchematicRenderer(96, 54)
+
+class FrontRenderer(SchematicRenderer):
+    """Draws as the schematic one, with the first camera alone."""
+
+    def cameras(self, scene: Scene) -> tuple[Camera, ...]:
+        return super().cameras(scene)[:1]
+
+
+DRAWN = FrontRenderer(96, 54)
 BUILT = BuildSettings(out=Path(), version="v1.0-mini", renderer=DRAWN, frames="keyframes")
 
 
@@ -44,7 +52,8 @@ def recordings(root: Path, *, moved_m: float = 0.0, seconds: float = 8.0) -> Dat
 def frozen_file(source: DataSet, folder: Path, **changes: object) -> NamedSplit:
     """What a search found, frozen; the searched root is ``searched`` in the same folder."""
     file = folder / "road-adv-1.json"
-    settings = replace(CHEAP, out=folder / "searched", freeze=file, renderer=DRAWN, frames="keyframes", **changes)  # type: ignore[arg-type]
+    drawn = {"renderer": DRAWN, "frames": "keyframes"}
+    settings = replace(CHEAP, out=folder / "searched", freeze=file, **(drawn | changes))  # type: ignore[arg-type]
     build_split(source, "adv", settings)
     return read_frozen_split(file)
 

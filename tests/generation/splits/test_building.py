@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,8 +25,11 @@ from generation.pipeline.split import build_split
 from generation.search.adversary import ALGORITHM_VERSION
 from generation.splits.building import build_frozen
 from generation.splits.packaged import NamedSplit
-from tests.generation.labels.recorded_roads import CHEAP, contents, recorded, write_source
+from tests.generation.labels.recorded_roads import CHEAP, HYPER, contents, recorded, write_source
 from tests.generation.splits.frozen_files import BUILT, frozen_file, recordings
+
+QUICK: dict[str, Any] = {"hyper": replace(HYPER, candidates=8, rounds=1, tries=1), "per_scene": 1}
+"""One adversary of each of the two scenes."""
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +44,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def split(source: DataSet, folder: Path) -> NamedSplit:
-    return frozen_file(source, folder)
+    return frozen_file(source, folder, **QUICK)
 
 
 @pytest.fixture(scope="module")
@@ -95,16 +99,15 @@ def test_the_file_is_small_holds_nothing_of_the_recordings_and_is_frozen_again_t
     assert split.frozen.recordings.name and split.frozen.search.seed == 0
     assert split.frozen.chosen.scenes == 2
     before = contents(folder / "searched")
-    assert frozen_file(source, folder) == split
+    assert frozen_file(source, folder, **QUICK) == split
     assert contents(folder / "searched") == before
 
 
 def test_neither_workers_nor_a_second_time_change_a_byte(
     source: DataSet, split: NamedSplit, built: Path, tmp_path: Path
 ) -> None:
-    settings = replace(BUILT, out=tmp_path / "out", executor=LocalProcesses(2))
-    for _ in range(2):
-        build_frozen(source, split, settings)
+    for workers in (2, 1):
+        build_frozen(source, split, replace(BUILT, out=tmp_path / "out", executor=LocalProcesses(workers)))
         assert contents(tmp_path / "out") == contents(built)
 
 
@@ -173,9 +176,9 @@ def test_some_scenes_only(source: DataSet, split: NamedSplit, tmp_path: Path) ->
 
 
 def test_two_adversaries(tmp_path: Path) -> None:
-    busy = write_source(tmp_path / "recorded", recorded("scene-9901"), recorded("scene-9902", seconds=9.0))
-    split = frozen_file(busy, tmp_path, adversaries=2)
-    assert all(len(frozen.adversaries) == 2 for frozen in split.frozen.scenes)
+    busy = write_source(tmp_path / "recorded", recorded("scene-9901"))
+    split = frozen_file(busy, tmp_path, adversaries=2, renderer=None, **QUICK)
+    assert [len(frozen.adversaries) for frozen in split.frozen.scenes] == [2]
     report = build_frozen(busy, split, replace(BUILT, out=tmp_path / "out", renderer=None))
     assert report.other_tables == ()
     data = open_data(tmp_path / "out")
@@ -198,7 +201,7 @@ def test_other_recordings_are_refused_before_anything_is_written(split: NamedSpl
     moved = recordings(tmp_path / "moved", moved_m=0.02)
     assert "0.020 m from its position in the frozen split" in refused(moved, split, settings)
     named = replace(split, path=tmp_path / "named.json")
-    assert f"frozen split {named.path}: {split.frozen.scenes[0].source} has 103 frames" in refused(
+    assert f"frozen split {named.path}: scene-9901 has 103 frames" in refused(
         recordings(tmp_path / "longer", seconds=9.0), named, settings
     )
     assert not (tmp_path / "out").exists()

@@ -1,6 +1,8 @@
 """A network that runs in a moment, and its inputs."""
 
+from copy import deepcopy
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -52,11 +54,17 @@ def recipe() -> WeightsRecipe:
 
 
 def filled(name: str, config: SparseConfig = MINIATURE, **settings: Any) -> SparseNetwork:
+    """One of its own for each caller."""
+    return deepcopy(_filled(name, config, tuple(settings.items())))
+
+
+@cache
+def _filled(name: str, config: SparseConfig, settings: tuple[tuple[str, Any], ...]) -> SparseNetwork:
     kinds: dict[str, type[SparseDrive] | type[DiffusionDrive]] = {
         "sparsedrive": SparseDrive,
         "diffusiondrive": DiffusionDrive,
     }
-    network = kinds[name](config, **settings)
+    network = kinds[name](config, **dict(settings))
     shapes = {key: tuple(value.shape) for key, value in network.state_dict().items()}
     state = recipe().state(shapes)
     network.load_state_dict({key: torch.from_numpy(np.asarray(value)) for key, value in state.items()}, strict=True)

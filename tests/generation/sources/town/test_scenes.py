@@ -1,4 +1,3 @@
-import hashlib
 import subprocess
 import sys
 from functools import cache
@@ -22,6 +21,7 @@ from generation.sources.town.paths import EGO_BODY, STATION_M, RouteLeg, build_p
 from generation.sources.town.speed import FRAMES, SECONDS, plan_speed
 from generation.sources.town.themes import PROGRAMME
 from generation.sources.town.towns import build_town
+from tests.generation.sources.town.digests import digest
 
 SCENES = [*(("val", index) for index in range(0, DEFAULT_VAL_SCENES, 2)), ("train", 0), ("train", 11)]
 
@@ -34,19 +34,6 @@ def _made(split: Literal["val", "train"], index: int) -> Scene:
 @pytest.fixture(scope="module", params=SCENES, ids=lambda key: f"{key[0]}{key[1]}")
 def scene(request: pytest.FixtureRequest) -> Scene:
     return _made(*request.param)
-
-
-def digest(scene: Scene) -> str:
-    """SHA-256 over what moves, what is annotated, and the map."""
-    agents, notes, road = scene.agents, scene.annotations, scene.road_map
-    arrays = (
-        scene.timestamps_us, scene.ego.position, scene.ego.rotation, agents.position, agents.yaw, agents.size,
-        agents.valid, notes.rotation, notes.visibility, notes.num_lidar_pts,
-    )  # fmt: skip
-    shapes = (road.drivable_area, *road.walkways.values(), *road.stop_lines.values())
-    words = repr((scene.description, agents.ids, agents.categories, notes.attribute.tolist(), sorted(road.lanes)))
-    parts = [words.encode(), *(array.tobytes() for array in arrays), *(shape.wkb for shape in shapes)]
-    return hashlib.sha256(b"".join(parts)).hexdigest()
 
 
 def _vehicles(scene: Scene) -> list[int]:
@@ -214,7 +201,7 @@ def test_train_and_val_share_no_town() -> None:
 def test_another_process_makes_the_same_bytes() -> None:
     code = (
         "import sys; sys.path.insert(0, sys.argv[1])\n"
-        "from tests.generation.sources.town.test_scenes import digest\n"
+        "from tests.generation.sources.town.digests import digest\n"
         "from generation.sources.town import build_town_scene\n"
         "print(digest(build_town_scene('val', 4)))"
     )
