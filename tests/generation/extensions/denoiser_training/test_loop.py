@@ -1,4 +1,4 @@
-"""Training: resumable, seeded, deaf to held-out sources."""
+"""Training: resumable, seeded, deaf to held-out sources; its model card."""
 
 import json
 from dataclasses import replace
@@ -11,9 +11,10 @@ import torch
 
 from benchmark.errors import InputError
 from benchmark.weights.tensors import read_tensors
-from generation.diffusion.checkpoint import load_denoiser
-from generation.diffusion.denoiser import PACKAGED, DenoiserConfig
+from generation.diffusion.checkpoint import load_denoiser, save_denoiser, write_bank
+from generation.diffusion.denoiser import PACKAGED, DenoiserConfig, TrajectoryDenoiser
 from generation.extensions.denoiser_training import loop as training
+from generation.extensions.denoiser_training.card import write_model_card
 from generation.extensions.denoiser_training.loop import TrainingConfig, train_denoiser
 from tests.generation.extensions.denoiser_training.test_tracks import drive, write_tracks
 
@@ -148,3 +149,36 @@ def test_nothing_to_learn_from_is_refused(tracks: Path) -> None:
     (tracks / "made_up.npz").rename(tracks / "interaction_sample.npz")
     with pytest.raises(InputError, match="outside the held-out sources"):
         train_denoiser(config(tracks, tracks.parent / "a.safetensors"))
+
+
+@pytest.fixture
+def trained(tmp_path: Path) -> Path:
+    """Beside tracks of two sources, one of them held out."""
+    for name in ("made_up", "interaction_sample"):
+        write_tracks(tmp_path / f"{name}.npz", [drive(np.full(120, 8.0))], source=np.array(name))
+    torch.manual_seed(0)
+    small = DenoiserConfig(feature_dim=16, heads=2, layers=1, feedforward_dim=16, history_tokens=0)
+    path = tmp_path / "denoiser.safetensors"
+    facts = {"seed": 0, "steps": 1, "batch": 1, "windows": {"made_up": 3}, "licences": {"made_up": "none"}}
+    save_denoiser(path, TrajectoryDenoiser(small).eval(), facts)
+    write_bank(path, count=4)
+    return path
+
+
+def test_card_says_what_was_learnt_from_and_that_nothing_was_measured(trained: Path) -> None:
+    text = write_model_card(trained, trained.parent).read_text()
+    assert "Not made." in text and "docs/studies/trajectory-model.md" in text
+    assert "Not trained on, they only check the result: INTERACTION." in text
+    measured = write_model_card(trained, trained.parent, ["## Measured here\n"]).read_text()
+    assert measured == text.partition("## Measurements")[0] + "## Measured here\n"
+
+
+def test_card_without_held_out_sources_names_none(trained: Path) -> None:
+    (trained.parent / "interaction_sample.npz").unlink()
+    assert "INTERACTION" not in write_model_card(trained, trained.parent).read_text()
+
+
+def test_weights_that_do_not_say_how_they_were_trained_have_no_card(trained: Path) -> None:
+    save_denoiser(trained, load_denoiser(trained), {"seed": 0})
+    with pytest.raises(InputError, match="does not record its batch, licences, steps, windows"):
+        write_model_card(trained, trained.parent)

@@ -82,17 +82,6 @@ def test_nuplan_windows_turn_as_the_cars_did_and_reading_leaves_the_database_alo
     assert path.read_bytes() == before and [entry.name for entry in folder.iterdir()] == ["log.db"]
 
 
-def test_portions_do_not_change_the_tracks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = three_cars(tmp_path)
-    whole = [track for file in read_nuplan(path, "nuplan") for track in file.tracks]
-    monkeypatch.setattr(nuplan, "PORTION_ROWS", 260)
-    files = list(read_nuplan(path, "nuplan"))
-    parts = [track for file in files for track in file.tracks]
-    assert [len(file.tracks) for file in files] == [1, 1, 1, 1]
-    assert len(parts) == len(whole)
-    assert all(np.array_equal(part, track) for part, track in zip(parts, whole, strict=True))
-
-
 def test_one_endless_track_is_cut_so_that_it_fits_into_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(nuplan, "PORTION_ROWS", 300)
     files = list(read_nuplan(write_nuplan(tmp_path / "log.db", circle(EGO_HZ, 11)), "nuplan"))

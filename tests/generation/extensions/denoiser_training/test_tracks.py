@@ -1,4 +1,4 @@
-"""Track files: what becomes a window, what is left out, what is refused."""
+"""Track files: what becomes a window, what is left out or refused, and how training draws windows."""
 
 from pathlib import Path
 from typing import Any
@@ -11,9 +11,16 @@ from hypothesis import strategies as st
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from generation.diffusion.kinematics import compute_motion
-from generation.diffusion.standardiser import convert_waypoints_to_actions
+from generation.diffusion.standardiser import convert_actions_to_waypoints, convert_waypoints_to_actions
 from generation.extensions.denoiser_training.track_sources import find_track_sources
-from generation.extensions.denoiser_training.tracks import TrackFile, cut_windows, read_tracks, smooth_track
+from generation.extensions.denoiser_training.tracks import (
+    TrackFile,
+    TrackWindows,
+    cut_windows,
+    read_tracks,
+    smooth_track,
+)
+from generation.extensions.denoiser_training.window_pool import MOST_OF_ONE_SOURCE, WindowPool, compute_source_shares
 
 HZ = 10.0
 
@@ -52,15 +59,6 @@ def test_straight_drive_becomes_windows_in_the_rear_axle_frame(tmp_path: Path) -
     assert np.allclose(windows.previous, [-5.0, 0.0, 0.0], atol=1e-3)
     assert np.allclose(windows.waypoints[:, :, 0], 5.0 * np.arange(1, 17), atol=1e-3)
     assert np.allclose(windows.waypoints[:, :, 1:], 0.0, atol=1e-3)
-
-
-def test_circle_keeps_its_radius(tmp_path: Path) -> None:
-    path = write_tracks(tmp_path / "made_up.npz", [drive(np.full(120, 8.0), 0.2)])
-    windows = cut_windows(read_tracks(path))
-    moved = compute_motion(windows.waypoints, windows.previous)
-    assert np.allclose(moved.curvature, 0.2 / 8.0, atol=5e-4)
-    assert np.allclose(moved.lateral, 1.6, atol=0.03)
-    assert np.allclose(windows.waypoints[:, -1, 2], 1.6, atol=1e-3)
 
 
 def test_start_from_rest_and_braking_are_kept() -> None:
@@ -150,17 +148,83 @@ def test_truncated_and_foreign_files_are_refused(tmp_path: Path) -> None:
             find_track_sources(folder)
 
 
-def test_reversing_is_never_drivable() -> None:
+def windows(speed: float, count: int, yaw_rate: float = 0.0) -> TrackWindows:
+    """The same steady drive many times, all of one track."""
+    yaw = yaw_rate * 0.5 * np.arange(-1, 17)
+    step = 0.5 * speed * np.column_stack([np.cos(yaw), np.sin(yaw)])
+    path = np.column_stack([np.cumsum(step, axis=0), yaw])
+    path[:, :2] -= path[1, :2]
+    every = np.broadcast_to(path, (count, 18, 3))
+    return TrackWindows(every[:, 0], every[:, 2:], np.zeros(count, np.int64), {})
+
+
+def speeds(previous: Floats) -> Floats:
+    return np.asarray(np.hypot(previous[:, 0], previous[:, 1]) / 0.5)
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def test_shares_are_roots_with_a_cap() -> None:
+    share = compute_source_shares(np.array([22_000, 3500, 2800, 2400, 700, 500, 50]))
+    assert share.sum() == pytest.approx(1.0)
+    assert share[0] == pytest.approx(MOST_OF_ONE_SOURCE)
+    assert share[1] / share[3] == pytest.approx(np.sqrt(3500 / 2400))
+    assert np.sqrt(22_000) / np.sqrt([22_000, 3500, 2800, 2400, 700, 500, 50]).sum() > 0.35
+
+
+def test_the_cap_holds_for_all_sources_and_gives_way_where_there_are_too_few_others() -> None:
+    share = compute_source_shares(np.array([10_000, 9000, 100, 100, 100, 0]))
+    assert share.max() == pytest.approx(MOST_OF_ONE_SOURCE) and (share == share.max()).sum() == 2 and share[-1] == 0
+    for count in ([7], [900, 1], [5, 5, 5]):
+        share = compute_source_shares(np.array(count))
+        assert share.sum() == pytest.approx(1.0) and share.max() == pytest.approx(1 / len(count))
+
+
+def test_long_sources_do_not_drown_short_ones() -> None:
+    """All in the same cell of speed and turn, so that only the sources count."""
+    counts = (10_000, 400, 400, 400, 100)
+    sources = {str(index): windows(9.0 + 0.2 * index, count) for index, count in enumerate(counts)}
+    pool = WindowPool.of(sources)
+    drawn = speeds(pool.draw(20_000, 0.0, rng()).previous)
+    assert list(pool.shares.values()) == pytest.approx(list(compute_source_shares(np.array(counts))))
+    for index, share in enumerate(compute_source_shares(np.array(counts))):
+        assert np.isclose(drawn, 9.0 + 0.2 * index, atol=0.05).mean() == pytest.approx(share, abs=0.01)
+
+
+def test_rare_speeds_and_turns_are_drawn_more_often_than_they_are_there() -> None:
+    common, fast, turning = windows(9.0, 9000), windows(20.0, 700), windows(9.0, 300, 0.2)
+    drawn = WindowPool.of({"one": TrackWindows.joined([common, fast, turning])}).draw(20_000, 0.0, rng())
+    turned = np.abs(convert_actions_to_waypoints(drawn.actions, drawn.previous)[:, -1, 2]) > 0.5
+    quick = speeds(drawn.previous) > 15
+    expected = np.array([0.9, 0.07, 0.03]) ** 0.7
+    expected /= expected.sum()
+    assert quick.mean() == pytest.approx(expected[1], abs=0.01)
+    assert turned.mean() == pytest.approx(expected[2], abs=0.01)
+    assert expected[2] > 0.05
+
+
+def test_windows_are_mirrored_and_scaled_together_with_their_past() -> None:
+    pool = WindowPool.of({"one": windows(8.0, 50, 0.1)})
+    kept = pool.actions.copy(), pool.previous.copy()
+    drawn = pool.draw(4000, 0.3, rng())
+    np.testing.assert_array_equal(pool.actions, kept[0])
+    np.testing.assert_array_equal(pool.previous, kept[1])
+    left = convert_actions_to_waypoints(drawn.actions, drawn.previous)[:, -1, 2]
+    assert (left > 0).mean() == pytest.approx(0.5, abs=0.03)
+    moved = compute_motion(convert_actions_to_waypoints(drawn.actions, drawn.previous), drawn.previous)
+    assert np.abs(moved.acceleration).max() < 1e-6
+    assert np.allclose(np.abs(moved.yaw_rate), 0.1)
+    assert moved.speed.min() == pytest.approx(8.0 * 0.7, rel=0.01)
+    assert moved.speed.max() == pytest.approx(8.0 * 1.3, rel=0.01)
+
+
+def test_reversing_is_never_drivable_and_standing_still_has_no_direction() -> None:
     forward = np.column_stack([2.0 * np.arange(1, 17), np.zeros((16, 2))])
     back = forward.copy()
     back[8:, 0] = back[7, 0] - 1.0 * np.arange(1, 9)
     moved = compute_motion(np.stack([forward, back]), np.array([-2.0, 0.0, 0.0]))
-    assert moved.excess[0] == 0
-    assert moved.excess[1] > 1
-
-
-def test_standing_still_has_no_direction() -> None:
-    jitter = 0.01 * np.random.default_rng(0).standard_normal((16, 3))
-    moved = compute_motion(jitter, np.zeros(3))
-    assert moved.excess == 0
-    assert np.allclose(moved.turn, 0)
+    assert moved.excess[0] == 0 and moved.excess[1] > 1
+    standing = compute_motion(0.01 * np.random.default_rng(0).standard_normal((16, 3)), np.zeros(3))
+    assert standing.excess == 0 and np.allclose(standing.turn, 0)
