@@ -1,19 +1,24 @@
-"""`verify` on the built-in sets and on those beside the repository; wrong numbers fail where they are wrong."""
+"""`verify` on the built-in sets and those beside the repository: wrong numbers, damaged sets."""
 
 import json
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 
 from benchmark.geometry import Floats
 from benchmark.verification.checks import format_report
+from generation.diffusion.denoiser import TrajectoryDenoiser
 from generation.extensions.golden_sets.built_in import BUILT_IN
+from generation.extensions.golden_sets.denoiser import GOLDEN as DENOISER
 from generation.extensions.golden_sets.physics import GOLDEN as PHYSICS
 from generation.extensions.golden_sets.scoring import GOLDEN as SCORING
+from tests.benchmark.verification.damaged import refuses, said
 from tests.generation.extensions.golden_sets import golden_scoring
 from tests.generation.extensions.golden_sets.golden_copies import (
     VERIFY,
@@ -62,23 +67,37 @@ def test_built_in_scoring_set_is_what_the_obvious_loops_make() -> None:
             np.testing.assert_allclose(stored[key], value, rtol=0.0, atol=1e-10, err_msg=f"{name} {key}")
 
 
-def test_wrong_physics_fails_where_it_is_wrong(tmp_path: Path) -> None:
-    folder = copied("physics", tmp_path)
-    change(
-        folder / "physics.npz",
-        center_pose=shifted(2e-6, 2, 40, 0),
-        commands=shifted(-1e-5, 3, 7, 1),
-        curvature_profile=shifted(1e-3, 4, 9),
-        reference_local=shifted(1e-5, 6, 30, 1),
-    )
-    checks = PHYSICS.verify(folder)
-    assert failures(checks) == {
-        "centre position (m)", "commanded steering rate (rad/frame)", "curvature profile (rad/m)",
-        "reference position (m)",
-    }  # fmt: skip
-    assert next(check.error for check in checks if check.quantity == "centre position (m)") == pytest.approx(
-        2e-6, rel=1e-3
-    )
+WRONG: tuple[tuple[str, dict[str, Any], set[str], str], ...] = (
+    ("physics/physics.npz",
+     {"center_pose": shifted(2e-6, 2, 40, 0), "commands": shifted(-1e-5, 3, 7, 1),
+      "curvature_profile": shifted(1e-3, 4, 9), "reference_local": shifted(1e-5, 6, 30, 1)},
+     {"centre position (m)", "commanded steering rate (rad/frame)", "curvature profile (rad/m)",
+      "reference position (m)"}, ""),
+    ("scoring/crossing.npz",
+     {"paper_center_violation": flipped(3, 4), "paper_dac": shifted(2e-9, 1), "paper_collision_half": flipped(5, 6),
+      "paper_final_geometry": shifted(1e-8, 7)},
+     {"centre off the road", "drivable area term", "collision, half", "final score, geometry",
+      "final score with its random start, geometry"}, "worst in crossing.npz"),
+    ("scoring/crossing.npz",
+     {"ref_col": flipped(4, 5), "ref_dac": shifted(1e-4, 6), "ref_ac": shifted(1e-3, 7),
+      "ref_n_polygon_tests": lambda count: count + 1},
+     {"reference: collision", "reference: drivable area term", "reference: challenge",
+      "reference: how many boxes are intersected"}, ""),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("file", "changes", "wrong", "note"), WRONG)
+def test_wrong_numbers_fail_where_they_are_wrong(
+    file: str, changes: dict[str, Any], wrong: set[str], note: str, tmp_path: Path
+) -> None:
+    kind = file.partition("/")[0]
+    copied(kind, tmp_path)
+    change(tmp_path / file, **changes)
+    checks = {check.quantity: check for check in VERIFY[kind](tmp_path / kind)}
+    assert {name for name, check in checks.items() if not check.ok} == wrong
+    assert any(note in check.note for check in checks.values())
+    if kind == "physics":
+        assert checks["centre position (m)"].error == pytest.approx(2e-6, rel=1e-3)
 
 
 def test_headings_count_modulo_a_turn_and_ill_conditioned_candidates_loosely(tmp_path: Path) -> None:
@@ -112,38 +131,6 @@ def test_any_number_of_candidates_and_groups(tmp_path: Path) -> None:
     checks = PHYSICS.verify(folder)
     assert not failures(checks)
     assert "4 of 5" in checks[0].note
-
-
-def test_wrong_scores_fail_where_they_are_wrong(tmp_path: Path) -> None:
-    folder = copied("scoring", tmp_path)
-    change(
-        folder / "crossing.npz",
-        paper_center_violation=flipped(3, 4),
-        paper_dac=shifted(2e-9, 1),
-        paper_collision_half=flipped(5, 6),
-        paper_final_geometry=shifted(1e-8, 7),
-    )
-    checks = SCORING.verify(folder)
-    assert failures(checks) == {
-        "centre off the road", "drivable area term", "collision, half", "final score, geometry",
-        "final score with its random start, geometry",
-    }  # fmt: skip
-    assert "worst in crossing.npz" in checks[0].note
-
-
-def test_wrong_scores_of_the_reference_fail_where_they_are_wrong(tmp_path: Path) -> None:
-    folder = copied("scoring", tmp_path)
-    change(
-        folder / "crossing.npz",
-        ref_col=flipped(4, 5),
-        ref_dac=shifted(1e-4, 6),
-        ref_ac=shifted(1e-3, 7),
-        ref_n_polygon_tests=lambda count: count + 1,
-    )
-    assert failures(SCORING.verify(folder)) == {
-        "reference: collision", "reference: drivable area term", "reference: challenge",
-        "reference: how many boxes are intersected",
-    }  # fmt: skip
 
 
 def test_sets_without_numbers_of_the_reference_are_sets(tmp_path: Path) -> None:
@@ -191,3 +178,123 @@ def test_one_file_of_an_indexed_set_is_enough(tmp_path: Path) -> None:
     checks = SCORING.verify(folder)
     assert not failures(checks)
     assert checks[0].note == "2 files; 1 more in index.json is missing"
+
+
+ARRAY = {
+    "physics": ("physics.npz", "center_pose"),
+    "scoring": ("crossing.npz", "paper_dist"),
+    "denoiser": ("parity.npz", "noise"),
+}
+
+
+@pytest.mark.parametrize("kind", ["physics", "denoiser"])
+def test_damaged_sets_are_one_sentence(kind: str, tmp_path: Path) -> None:
+    refuses(VERIFY[kind], BUILT_IN / kind, *ARRAY[kind], tmp_path)
+
+
+def test_a_damaged_frame_of_scores_is_one_sentence(tmp_path: Path) -> None:
+    """A set may have any number of frames, but must have one."""
+    (tmp_path / "scoring").mkdir()
+    save(tmp_path / "scoring" / "crossing.npz", load(BUILT_IN / "scoring" / "crossing.npz"))
+    refuses(VERIFY["scoring"], tmp_path / "scoring", *ARRAY["scoring"], tmp_path / "work")
+
+
+@pytest.mark.parametrize("kind", VERIFY)
+def test_a_folder_of_sets_says_which_is_meant(kind: str) -> None:
+    assert f"did you mean {BUILT_IN / kind}" in said(VERIFY[kind], BUILT_IN)
+
+
+@pytest.mark.parametrize(
+    ("file", "name", "value"),
+    [
+        ("physics/physics.npz", "group", np.full(8, 99)),
+        ("physics/physics.npz", "group_columns", np.array(["center_x"])),
+        ("physics/physics.npz", "groups", np.zeros((8, 14))),
+        ("physics/physics.npz", "groups", np.zeros((8, 3))),
+        ("scoring/crossing.npz", "raster", np.zeros((200, 199), np.bool_)),
+        ("scoring/crossing.npz", "raster_affine_global_to_index", np.ones((2, 3))),
+        ("scoring/crossing.npz", "ego_index", np.array(70)),
+        ("scoring/crossing.npz", "candidates", np.zeros((48, 5, 3))),
+        ("scoring/crossing.npz", "valid", np.zeros((13, 6))),
+    ],
+)
+def test_inputs_that_do_not_fit_are_one_sentence(file: str, name: str, value: NDArray[Any], tmp_path: Path) -> None:
+    kind, _, rest = file.partition("/")
+    path = copied(kind, tmp_path) / rest
+    save(path, load(path) | {name: value})
+    said(VERIFY[kind], path.parent)
+
+
+@pytest.fixture
+def slim(tmp_path: Path) -> Path:
+    """The built-in denoiser set with one trajectory and few processes, because a call of the network takes time."""
+    folder = Path(shutil.copytree(BUILT_IN / "denoiser", tmp_path / "slim"))
+    arrays = load(folder / "parity.npz")
+    dropped = ("trunc50", "trunc5", "trunc4", "clip_active", "stoch_t50", "stoch_t4")
+    kept = {name: value for name, value in arrays.items() if not name.startswith(dropped)}
+    save(folder / "parity.npz", {n: v if n.startswith("aug") or not v.shape else v[:1] for n, v in kept.items()})
+    return folder
+
+
+def test_wrong_denoiser_outputs_fail_where_they_are_wrong(slim: Path) -> None:
+    change(
+        slim / "parity.npz",
+        denoise_t25=shifted(1e-4, 0, 5),
+        trunc3_eta0_actions=shifted(1e-4, 0, 5),
+        stoch_t10=shifted(1e-4, 0, 5),
+        full_eta0_after_t50=shifted(1e-4, 0, 5),
+        aug_out=shifted(1.0, 3, 5),
+    )
+    change(slim / "schedule.npz", betas=shifted(1e-5, 50), timesteps=shifted(1, 3))
+    checks = DENOISER.verify(slim)
+    assert failures(checks) == {
+        "predicted noise", "truncated reverse processes", "stochastic steps", "full reverse process, on the way",
+        "varied first batch (of the largest)", "schedule: betas", "schedule: timesteps",
+    }  # fmt: skip
+    assert "worst in timestep 25" in next(check.note for check in checks if check.quantity == "predicted noise")
+
+
+def test_silent_zeros_fail(slim: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(TrajectoryDenoiser, "forward", lambda self, noisy, timesteps: torch.zeros_like(noisy))
+    assert {"predicted noise", "full reverse process", "stochastic steps"} <= failures(DENOISER.verify(slim))
+
+
+def test_another_architecture_is_said_first_and_nothing_else(slim: Path) -> None:
+    keys = json.loads((slim / "keys.json").read_text())
+    keys["sigma_proj_layer.weight"]["shape"] = [256, 511]
+    (slim / "keys.json").write_text(json.dumps(keys))
+    (check,) = DENOISER.verify(slim)
+    assert not check.ok and check.error == 1 and "sigma_proj_layer.weight" in check.note
+
+
+def test_another_salt_and_other_rules_need_other_numbers(slim: Path) -> None:
+    for manifest in ({"salt": "other", "std_rules": {}}, {"salt": "dev", "std_rules": {"decoder_mlp": 0.3}}):
+        (slim / "manifest.json").write_text(json.dumps(manifest))
+        assert "predicted noise" in failures(DENOISER.verify(slim))
+
+
+@pytest.mark.path
+def test_a_set_of_another_size_agrees_and_every_array_is_compared_or_named(slim: Path) -> None:
+    arrays = load(slim / "parity.npz")
+    save(slim / "parity.npz", arrays | {"something_new": np.zeros(3)})
+    checks = DENOISER.verify(slim)
+    assert not failures(checks), format_report(checks)
+    notes = " ".join(check.note for check in checks)
+    assert "history_features_ignored (the reference discards it" in notes
+    assert "something_new (unknown here)" in notes
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("manifest.json", "{"),
+        ("manifest.json", '{"std_rules": {}}'),
+        ("manifest.json", '{"salt": "dev", "std_rules": {"(": 1.0}}'),
+        ("manifest.json", '{"salt": "dev", "kept_buffers": {"sigma_proj_layer.bias": [1.0]}}'),
+        ("keys.json", "[1, 2]"),
+        ("keys.json", '{"a": {"shape": "x"}}'),
+    ],
+)
+def test_descriptions_that_are_wrong_are_one_sentence(slim: Path, name: str, text: str) -> None:
+    (slim / name).write_text(text)
+    said(DENOISER.verify, slim)
