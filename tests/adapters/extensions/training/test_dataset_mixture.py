@@ -13,7 +13,6 @@ from adapters.extensions.training.dataset_mixture import (
     PrefixedScenes,
     RecordedFutureFrames,
     build_frames,
-    require_distinct_data,
     require_source_scenes,
 )
 from benchmark.cli.app import app
@@ -143,13 +142,6 @@ def test_two_data_sets_that_name_their_scenes_alike_are_told_apart(data: NuScene
         assert times[0] == times[1]
         assert {frame.scene for frame in mixed.clip(numbers[-1], 2)} == {f"also-1/{name}"}
     assert len({each.identity for each in (other, apart, PrefixedScenes(other, "also-2"))}) == 3
-
-
-def test_a_data_set_is_learned_from_once(data: NuScenesData, tmp_path: Path) -> None:
-    other = other_data(tmp_path / "other")
-    require_distinct_data([other.root], data)
-    with pytest.raises(InputError, match="the same data set as"):
-        require_distinct_data([other.root, other.root], data)
 
 
 def test_the_command_learns_from_all_data_sets_that_are_named(
