@@ -1,4 +1,4 @@
-"""Pictures show what the protocol compares, the same bytes each time, one for each cause that there is."""
+"""Pictures show what the protocol compares, the same bytes each time, one for each cause; the command draws them."""
 
 import hashlib
 from collections.abc import Sequence
@@ -21,6 +21,8 @@ from benchmark.metrics.disagreement import CAUSES, find_contacts_before_mask
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.run import RunRecord
 from benchmark.truth import SampleTruth
+from tests.benchmark.cli.in_process import run_here
+from tests.benchmark.cli.small_path import done, judged_town, small_town
 from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.metrics.test_disagreement import STRAIGHT, Object, random_samples, truth, turning
 from tests.benchmark.planners import Failing, Straight
@@ -145,3 +147,16 @@ def test_the_clearest_case_does_not_depend_on_the_order_of_records(runs: tuple[F
     assert [key(case) for case in find_clearest_cases(records, data)] == [
         key(case) for case in find_clearest_cases(records[::-1], data)
     ]
+
+
+def test_explaining_protocols_prints_a_table_and_draws_cases(tmp_path: Path) -> None:
+    town, out = small_town(tmp_path / "small"), tmp_path / "out"
+    judged_town(town, out)
+    common = ("--model", "constant-velocity", "--data", town, "--split", "adv", "--out", out)
+    run = done(run_here("eval", *common, "--explain-protocols", "--protocol", "vad", "--protocol", "exact"))
+    pictures = list((out / "explained").rglob("*.png"))
+    assert pictures
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in pictures)
+    assert all(text in run.out for text in ("misses", "protocol vad", "protocol exact"))
+    unknown = run_here("eval", *common, "--protocol", "guess")
+    assert (unknown.code, unknown.err.count("\n")) == (2, 1)

@@ -1,5 +1,6 @@
-"""Films of drives: the driven world, the recorded path, the contact; the command finds its drives."""
+"""Films of drives: the driven world, the recorded path, the contact; the command finds sheets, records, drives."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,21 +8,27 @@ import numpy as np
 import pytest
 
 from adapters.planners.stop import Stop
+from benchmark import api
 from benchmark.closed_loop.default_engine import DefaultBackend
 from benchmark.errors import InputError
 from benchmark.records.drives import DriveRecord
+from benchmark.records.run import RunRecord, write_record
 from benchmark.report.episode_page import EpisodePage
 from benchmark.report.palette import ADVERSARY, BEST, CONTACT, EGO, PATH
 from benchmark.runs.driving import DriveSettings, drive_split
 from benchmark.runs.episode_pages import write_episode_page
+from leaderboard.extensions.films.cli import resolve_planner_names
 from leaderboard.extensions.films.drive_film import DRIVE_FPS, HELD_S, DriveFilm
 from leaderboard.extensions.films.film import HEIGHT_PX, TITLE_PX, WIDTH_PX, FilmLayout, FilmSettings
 from leaderboard.extensions.films.filming import FilmFormat, write_drive_film
 from tests.benchmark.cli.cli_runs import refusal
+from tests.benchmark.cli.in_process import run_here
 from tests.benchmark.closed_loop.staged import Watching
 from tests.benchmark.fake_data import FakeData
 from tests.benchmark.planners import Failing, Straight
+from tests.benchmark.records.hand_made_records import CLEAN, HIT
 from tests.benchmark.records.test_drives import written as written_drives
+from tests.benchmark.report import one_scene
 from tests.benchmark.runs.test_driving import town
 from tests.benchmark.runs.test_episode_pages import Clock, driven
 from tests.generation.extensions.reactive_adversary.loops import SETTINGS as ADVERSARY_SETTINGS
@@ -160,3 +167,54 @@ def test_what_is_not_there_is_one_sentence(tmp_path: Path) -> None:
     assert "there are no drives of vad; choose one of made" in refusal(*asked, "--model", "vad")
     assert "scene scene-9 was not driven" in refusal(*asked, "--scenes", "scene-9")
     assert "there are no records of drives on mini val" in refusal(*asked, "--split", "val")
+
+
+def record(runs: Path, planner: str, data: str = "mini", split: str = "adv") -> Path:
+    folder = runs / data / split
+    (folder / planner).mkdir(parents=True)
+    ran = {"data": {"name": data}, "split": split, "planner": {"name": planner}}
+    (folder / planner / "run.json").write_text(json.dumps(ran))
+    return folder
+
+
+def test_a_full_model_is_shown_as_the_miniature_that_ran(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("benchmark.api.opening._notified", set())
+    folder, *_ = [record(tmp_path, name) for name in ("uniad-mini", "vad-mini", "idm")]
+    assert resolve_planner_names(["uniad", "vad", "idm"], [folder], tmp_path) == ["uniad-mini", "vad-mini", "idm"]
+    assert resolve_planner_names(["uniad"], [folder], tmp_path) == ["uniad-mini"]
+    said = capsys.readouterr().err
+    assert said.count("uniad-mini, which ran in its place") == 1 and said.count("\n") == 2
+    record(tmp_path, "vad-base")
+    assert resolve_planner_names(["vad", "vad-base (seed 1)"], [folder], tmp_path) == ["vad-base", "vad-base (seed 1)"]
+
+
+def test_records_of_other_data_are_named_and_what_the_demo_made_has_a_name(tmp_path: Path) -> None:
+    record(tmp_path, "idm", data="demo")
+    with pytest.raises(InputError, match=r"no run records at .*; found records of demo \(adv: idm\)"):
+        resolve_planner_names(["idm"], [tmp_path / "mini" / "adv"], tmp_path)
+    with pytest.raises(InputError, match="did you mean idm"):
+        resolve_planner_names(["idn"], [tmp_path / "demo" / "adv"], tmp_path)
+    with pytest.raises(InputError, match="run: challenger-bench demo --out"):
+        api.open_data("demo", out=tmp_path)
+
+
+def stored(run: RunRecord, root: Path) -> None:
+    """Write a record where `eval` would."""
+    left_out = {"status", "protocols", "seed", "files", "schema_version", "rescored"}
+    facts = {name: value for name, value in run.run.model_dump().items() if name not in left_out}
+    write_record(root / "d" / "adv" / run.planner, facts, list(run.rows), run.run.protocols, seed=0)
+
+
+@pytest.mark.path
+def test_a_film_from_sheets_and_records(tmp_path: Path) -> None:
+    one_scene.written(tmp_path / "sheets")
+    stored(one_scene.record("p", [HIT, CLEAN, CLEAN, CLEAN, CLEAN]), tmp_path / "runs")
+    command = ("film", "--data", "d", "--out", tmp_path, "--to", tmp_path / "films", "--until", "0.3", "--width", "320")
+    made = run_here(*command, "--format", "png", "--model", "p", "--json")
+    folder = tmp_path / "films" / "scene-1"
+    assert made.code == 0 and json.loads(made.out) == {"films": [str(folder)]}, made.err
+    assert sorted(path.name for path in folder.iterdir()) == [f"{number:06d}.png" for number in range(4)]
+    missing = run_here(*command, "--scenes", "scene-9")
+    assert missing.code == 2 and "challenger-bench sheets" in missing.err and missing.err.count("\n") == 1
