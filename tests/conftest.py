@@ -7,6 +7,7 @@ from functools import cache
 
 import hypothesis  # noqa: F401 - looks for who refers to its generators, which does not find what is frozen below
 import pytest
+import typer.main
 
 from tests.parts import PARTS, part_of
 
@@ -56,10 +57,11 @@ def nothing_left_open() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def town_scenes_are_built_once() -> Iterator[None]:
-    """Data sets of the embedded town take a scene that this process built before: the arguments decide it."""
+def built_once() -> Iterator[None]:
+    """A scene of the embedded town, which its arguments decide, and the tree of commands are built once a process."""
     from generation.sources.town import build_town_scene
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("generation.sources.mini.build_town_scene", cache(build_town_scene))
+        patch.setattr("typer.main.get_command", cache(typer.main.get_command))
         yield

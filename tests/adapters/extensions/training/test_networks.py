@@ -295,7 +295,7 @@ def sparse_by_heart(name: str) -> tuple[Any, list[TrainingFrame], Step]:
 
 
 BY_HEART: dict[str, tuple[Callable[[], tuple[Any, list[TrainingFrame], Step]], float]] = {
-    "vad": (vad_by_heart, 5e-3),
+    "vad": (vad_by_heart, 2e-3),
     "uniad": (uniad_by_heart, 4e-3),
     "sparsedrive": (lambda: sparse_by_heart("sparsedrive"), 6e-3),
     "diffusiondrive": (lambda: sparse_by_heart("diffusiondrive"), 6e-3),
