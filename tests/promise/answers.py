@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import functools
 import inspect
 import io
 import re
@@ -132,11 +131,7 @@ def _said(name: str, value: str) -> list[str]:
 
 
 def _top() -> Any:
-    return _command_of(command_line.app)
-
-
-_command_of: Final = functools.cache(typer.main.get_command)
-"""Building the commands takes ten times as long as parsing words."""
+    return typer.main.get_command(command_line.app)
 
 
 class _Taken(BaseException):
@@ -158,7 +153,6 @@ def refusal(*words: str) -> str | None:
         contextlib.redirect_stderr(io.StringIO()) as err,
         contextlib.redirect_stdout(io.StringIO()),
         mock.patch.object(sys, "argv", ["challenger-bench", *words]),
-        mock.patch.object(typer.main, "get_command", _command_of),
         mock.patch.object(typer.core.TyperGroup, "invoke", of_group),
         mock.patch.object(typer.core.TyperCommand, "invoke", taken),
         contextlib.suppress(_Taken),

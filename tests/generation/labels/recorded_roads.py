@@ -13,6 +13,8 @@ from tests.hand_made import Car, scene_on_straight_road
 
 HYPER = HyperParameters(candidates=24, rounds=2)
 CHEAP = BuildSettings(out=Path(), hyper=HYPER, prior=DrivingPrior, version="v1.0-mini")
+QUICK = replace(CHEAP, hyper=replace(HYPER, candidates=8, rounds=1, tries=1))
+"""Where it does not matter how good what is found is."""
 BUSY = (
     Car(62.0, 194.75, 9.0),
     Car(95.0, 198.25, 8.0),

@@ -206,7 +206,7 @@ def test_a_vehicle_that_was_always_ahead_does_not_cut_in() -> None:
 @pytest.mark.parametrize("name", CASES)
 def test_moving_and_turning_the_world_changes_nothing(name: str) -> None:
     scene = scene_of(CASES[name], CURVATURES["left bend"])
-    move = np.random.default_rng(len(name)).uniform(-1, 1, 3) * [2000, 2000, np.pi]
+    move = np.random.default_rng(list(name.encode())).uniform(-1, 1, 3) * [2000, 2000, np.pi]
     angle = move[2]
     ego, other = (np.column_stack([to_global(track[:, :2], move), track[:, 2] + angle]) for track in tracks(scene))
     before, after = compute_labels(scene, 0, 0), compute_labels(placed(scene, ego, other), 0, 0)

@@ -11,11 +11,9 @@ from benchmark.errors import InputError
 from benchmark.records.ablation import VARIANTS, AblationReport, read_ablation
 from generation.pipeline.ablation import estimate_ablation, run_ablation
 from generation.pipeline.surrogate import PlannerUnderTest
-from tests.generation.labels.recorded_roads import BUSY, contents, recorded, write_source
-from tests.generation.labels.recorded_roads import CHEAP as DEAR
+from tests.generation.labels.recorded_roads import BUSY, QUICK, contents, recorded, write_source
 from tests.generation.search.drivers import Drivers, RaisingDriver
 
-CHEAP = replace(DEAR, hyper=replace(DEAR.hyper, candidates=8, rounds=1, tries=1))
 FAST = PlannerUnderTest(Drivers(speed=10.0), images=False)
 
 
@@ -28,7 +26,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
 @pytest.fixture(scope="module")
 def study(source: DataSet, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, AblationReport]:
     out = tmp_path_factory.mktemp("study")
-    return out, run_ablation(source, FAST, replace(CHEAP, out=out, limit=2))
+    return out, run_ablation(source, FAST, replace(QUICK, out=out, limit=2))
 
 
 def test_counts_add_up_and_every_row_tries_the_same_vehicles(
@@ -63,7 +61,7 @@ def test_the_record_reads_back_and_resumes(source: DataSet, study: tuple[Path, A
     before = contents(out)
     (out / "ablation.json").unlink()
     next((out / "full" / ".challenger" / "attempts").iterdir()).unlink()
-    assert run_ablation(source, FAST, replace(CHEAP, out=out, limit=2)) == report
+    assert run_ablation(source, FAST, replace(QUICK, out=out, limit=2)) == report
     assert contents(out) == before
 
 
@@ -76,7 +74,7 @@ def test_the_table_has_counts_intervals_and_the_papers_numbers(study: tuple[Path
 
 
 def test_an_estimate_writes_nothing(source: DataSet, tmp_path: Path) -> None:
-    lines = estimate_ablation(source, FAST, replace(CHEAP, out=tmp_path / "study")).splitlines()
+    lines = estimate_ablation(source, FAST, replace(QUICK, out=tmp_path / "study")).splitlines()
     assert len(lines) == 4
     assert all("would build adv from 2 scenes" in line for line in lines)
     assert not (tmp_path / "study").exists()
@@ -85,14 +83,14 @@ def test_an_estimate_writes_nothing(source: DataSet, tmp_path: Path) -> None:
 def test_a_planner_that_raises_has_no_row(source: DataSet, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="raising raised on"):
         run_ablation(
-            source, PlannerUnderTest(Drivers(RaisingDriver), images=False), replace(CHEAP, out=tmp_path, limit=1)
+            source, PlannerUnderTest(Drivers(RaisingDriver), images=False), replace(QUICK, out=tmp_path, limit=1)
         )
     assert not (tmp_path / "ablation.json").exists()
 
 
 def test_nothing_survives_in_any_row(source: DataSet, tmp_path: Path) -> None:
-    hyper = replace(CHEAP.hyper, close_gap_m=0.0)
-    report = run_ablation(source, FAST, replace(CHEAP, out=tmp_path, limit=1, hyper=hyper))
+    hyper = replace(QUICK.hyper, close_gap_m=0.0)
+    report = run_ablation(source, FAST, replace(QUICK, out=tmp_path, limit=1, hyper=hyper))
     for row in report.rows:
         assert row.kept == 0
         assert row.rate_attempted.value == 0.0

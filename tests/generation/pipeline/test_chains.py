@@ -19,13 +19,11 @@ from generation.search.chains import DropReason, search_chains
 from generation.search.definition import Search
 from generation.search.hyperparameters import HyperParameters
 from generation.search.verify import DiscardReason, VerificationFailure, verify
-from tests.generation.labels.recorded_roads import CHEAP, HYPER, contents, recorded, write_source
+from tests.generation.labels.recorded_roads import QUICK, contents, recorded, write_source
 from tests.generation.search.driving_prior import DrivingPrior
 from tests.hand_made import Car
 
-ONCE = replace(HYPER, candidates=8, rounds=1, tries=1)
-SINGLES = replace(CHEAP, hyper=ONCE)
-PAIRS = replace(SINGLES, adversaries=2)
+PAIRS = replace(QUICK, adversaries=2)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +46,9 @@ def rows_of(out: Path) -> list[dict[str, Any]]:
 
 def search_in(source: DataSet, out: Path) -> Search:
     prior = DrivingPrior()
-    return Search(source.fingerprint(), ONCE, 0, DrivingPrior, prior.fingerprint, out / ".challenger", out / "timings")
+    return Search(
+        source.fingerprint(), QUICK.hyper, 0, DrivingPrior, prior.fingerprint, out / ".challenger", out / "timings"
+    )
 
 
 def test_each_scene_has_two_adversaries_that_touch_nothing(source: DataSet, built: Path) -> None:
@@ -71,7 +71,7 @@ def test_the_first_adversary_still_passes_beside_the_second(source: DataSet, bui
     for chain in found.chains:
         scene = chain.adversarial(source.scene(chain.scene_name))
         for link in chain.earlier:
-            assert verify(scene, link.agent, link.start, ONCE, limits) is None
+            assert verify(scene, link.agent, link.start, QUICK.hyper, limits) is None
         assert scene.adversaries == chain.agent_ids
 
 
@@ -110,7 +110,7 @@ def test_names_depend_on_the_adversaries_and_not_on_the_rank(source: DataSet, bu
     build_split(source, "adv", replace(PAIRS, out=out, total=1))
     assert set(open_data(out).scene_names("adv")) < names
     # What was found for single adversaries is the first half of pairs: nothing is tried twice.
-    singles = build_split(source, "adv", replace(SINGLES, out=tmp_path / "singles"))
+    singles = build_split(source, "adv", replace(QUICK, out=tmp_path / "singles"))
     assert not set(singles.written) & names
     tried, of_pairs = (
         {path.name for path in (out / ".challenger" / "attempts").iterdir()} for out in (tmp_path / "singles", built)
@@ -141,7 +141,7 @@ def test_too_few_vehicles_is_a_reason(tmp_path: Path) -> None:
 def test_no_vehicle_to_try_is_counted_by_reason(tmp_path: Path) -> None:
     parked = write_source(tmp_path / "source", recorded("scene-9903", (Car(62.0, 204.0, 0.0),)))
     with pytest.raises(NothingSurvivedError, match=r"of 1 object none can be tried \(1 [a-z-]+\): choose other scenes"):
-        build_split(parked, "adv", replace(SINGLES, out=tmp_path / "out"))
+        build_split(parked, "adv", replace(QUICK, out=tmp_path / "out"))
 
 
 def test_an_earlier_adversary_that_is_disturbed_discards_the_next(

@@ -19,12 +19,8 @@ from generation.pipeline.report import estimate_build
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import NothingSurvivedError, build_split
 from generation.search.candidates import ExclusionReason
-from tests.generation.labels.recorded_roads import CHEAP as DEAR
-from tests.generation.labels.recorded_roads import contents, recorded, write_source
+from tests.generation.labels.recorded_roads import QUICK, contents, recorded, write_source
 from tests.hand_made import Car
-
-HYPER = replace(DEAR.hyper, candidates=8, rounds=1, tries=1)
-CHEAP = replace(DEAR, hyper=HYPER)
 
 
 def few_cars(name: str, ahead_m: float) -> Scene:
@@ -38,7 +34,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
 
 
 def build(source: DataSet, out: Path, **changes: object) -> BuildSettings:
-    settings = replace(CHEAP, out=out, **changes)  # type: ignore[arg-type]
+    settings = replace(QUICK, out=out, **changes)  # type: ignore[arg-type]
     build_split(source, "adv", settings)
     return settings
 
@@ -98,7 +94,7 @@ def test_every_object_is_tried_or_has_a_reason(source: DataSet, built: Path) -> 
 
 def test_the_summary_is_a_table_of_reasons(source: DataSet, built: Path) -> None:
     # Times lie beside the root and are not copied with it; another build there changes nothing.
-    report = build_split(source, "adv", replace(CHEAP, out=built))
+    report = build_split(source, "adv", replace(QUICK, out=built))
     lines = report.summary().splitlines()
     assert lines[0] == f"2 scenes, {report.tried} vehicles tried, {len(report.written)} scenes written"
     counts = {tuple(line.split()[:-1]): line.split()[-1] for line in lines[2:]}
@@ -121,14 +117,14 @@ def test_a_half_finished_build_goes_on_to_the_same_bytes(source: DataSet, built:
 
 
 def test_dry_run_counts_and_writes_nothing(source: DataSet, built: Path, tmp_path: Path) -> None:
-    reports = {split: estimate_build(source, split, replace(CHEAP, out=tmp_path / "out")) for split in ("adv", "val-r")}
+    reports = {split: estimate_build(source, split, replace(QUICK, out=tmp_path / "out")) for split in ("adv", "val-r")}
     assert reports["adv"].tried > 0 == reports["adv"].finished_before
     for split, report in reports.items():
         text = report.summary()
         assert text.startswith(f"would build {split} from 2 scenes") and "tried" not in text
     assert not (tmp_path / "out").exists()
     before = contents(built)
-    again = estimate_build(source, "adv", replace(CHEAP, out=built))
+    again = estimate_build(source, "adv", replace(QUICK, out=built))
     assert again.finished_before == again.tried
     assert contents(built) == before
 
@@ -155,7 +151,7 @@ def test_a_build_that_finds_nothing_says_why_and_leaves_no_tables_of_an_earlier_
     source: DataSet, built: Path, out: Path
 ) -> None:
     with pytest.raises(NothingSurvivedError, match=r"never-gets-close|leaves|collision") as raised:
-        build(source, out, hyper=replace(HYPER, close_gap_m=0.0))
+        build(source, out, hyper=replace(QUICK.hyper, close_gap_m=0.0))
     assert "\n" not in str(raised.value)
     assert raised.value.report.written == ()
     assert json.loads((out / "report.json").read_text())["written"] == []
@@ -259,6 +255,6 @@ def test_it_is_said_how_many_scenes_nobody_could_have_avoided(
     assert report.unsolvable == {"dropped": report.discarded["unsolvable"], "written": 0}
     assert report.discarded["unsolvable"] > 0 and "dropped, 0 among those written" in report.summary()
     monkeypatch.setattr("generation.pipeline.report.is_unsolvable", lambda judgements: True)
-    settings = replace(CHEAP, out=tmp_path / "kept", hyper=replace(HYPER, solvable=False), scenes=("scene-9901",))
+    settings = replace(QUICK, out=tmp_path / "kept", hyper=replace(QUICK.hyper, solvable=False), scenes=("scene-9901",))
     kept = build_split(source, "adv", settings)
     assert kept.unsolvable == {"dropped": 0, "written": len(kept.written)} and kept.written

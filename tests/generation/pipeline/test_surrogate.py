@@ -19,12 +19,10 @@ from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import NothingSurvivedError, build_split
 from generation.pipeline.surrogate import PlannerUnderTest
 from generation.render.contract import Images
-from tests.generation.labels.recorded_roads import CHEAP as DEAR
-from tests.generation.labels.recorded_roads import HYPER, contents, recorded, write_source
+from tests.generation.labels.recorded_roads import QUICK, contents, recorded, write_source
 from tests.generation.search.drivers import Drivers, LookingDriver, RaisingDriver
 from tests.generation.splits.frozen_files import FrontRenderer
 
-CHEAP = replace(DEAR, hyper=replace(HYPER, candidates=8, rounds=1, tries=1))
 FAST = PlannerUnderTest(Drivers(speed=10.0), images=False)
 SLOWER = PlannerUnderTest(Drivers(speed=9.0), images=False)
 """Fails on some of the adversaries of a single scene, where the faster one may fail on all."""
@@ -56,7 +54,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
 @pytest.fixture(scope="module")
 def built(source: DataSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("failing") / "out"
-    build_split(source, "adv", replace(CHEAP, out=out, surrogate=FAST))
+    build_split(source, "adv", replace(QUICK, out=out, surrogate=FAST))
     return out
 
 
@@ -76,7 +74,7 @@ def test_what_is_written_fails_the_surrogate_and_what_is_not_does_not(
     source: DataSet, built: Path, tmp_path: Path
 ) -> None:
     out = searched(built, tmp_path / "all")
-    everything = build_split(source, "adv", replace(CHEAP, out=out))
+    everything = build_split(source, "adv", replace(QUICK, out=out))
     expected = {name for name, failed in failures(out, tmp_path / "runs").items() if failed}
     assert 0 < len(expected) < len(everything.written)
     assert set(open_data(built).scene_names("adv")) == expected
@@ -96,7 +94,7 @@ def test_kills_do_not_change_the_bytes(
     source: DataSet, built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = searched(built, tmp_path / "out")
-    settings = replace(CHEAP, out=out, surrogate=FAST)
+    settings = replace(QUICK, out=out, surrogate=FAST)
 
     def killed(*arguments: object, **options: object) -> None:
         raise KeyboardInterrupt
@@ -118,7 +116,7 @@ def test_kills_do_not_change_the_bytes(
 def counted(built: Path, out: Path, **changes: Any) -> tuple[CountingRenderer, BuildSettings]:
     """Of one scene, in which the search is done."""
     renderer = CountingRenderer()
-    return renderer, replace(CHEAP, out=searched(built, out), renderer=renderer, frames="keyframes", limit=1, **changes)
+    return renderer, replace(QUICK, out=searched(built, out), renderer=renderer, frames="keyframes", limit=1, **changes)
 
 
 def test_pictures_drawn_for_the_surrogate_are_used_again(source: DataSet, built: Path, tmp_path: Path) -> None:
@@ -144,7 +142,7 @@ def test_a_planner_that_does_not_look_costs_no_pictures(source: DataSet, built: 
 
 def test_limits_count_scenes_that_fail(source: DataSet, built: Path, tmp_path: Path) -> None:
     out = Path(shutil.copytree(built, tmp_path / "out"))
-    report = build_split(source, "adv", replace(CHEAP, out=out, surrogate=FAST, per_scene=1))
+    report = build_split(source, "adv", replace(QUICK, out=out, surrogate=FAST, per_scene=1))
     scenes = {name.rsplit("-", 1)[0] for name in report.written}
     assert len(report.written) == len(scenes) == 2
     assert set(report.written) < set(open_data(built).scene_names("adv"))
@@ -155,20 +153,20 @@ def test_a_surrogate_that_raises_is_no_surrogate(source: DataSet, built: Path, t
     raising = PlannerUnderTest(Drivers(RaisingDriver), images=False)
     out = searched(built, tmp_path / "out")
     with pytest.raises(InputError, match=r"raising raised on \d+ of \d+ samples"):
-        build_split(source, "adv", replace(CHEAP, out=out, surrogate=raising, limit=1))
+        build_split(source, "adv", replace(QUICK, out=out, surrogate=raising, limit=1))
     assert not is_finished(out)
 
 
 def test_a_surrogate_that_never_fails_leaves_nothing(source: DataSet, built: Path, tmp_path: Path) -> None:
     out = Path(shutil.copytree(built, tmp_path / "out"))
-    settings = replace(CHEAP, out=out, surrogate=PlannerUnderTest(Drivers(speed=8.0), images=False))
+    settings = replace(QUICK, out=out, surrogate=PlannerUnderTest(Drivers(speed=8.0), images=False))
     with pytest.raises(NothingSurvivedError, match="surrogate-does-not-fail"):
         build_split(source, "adv", settings)
     assert not is_finished(out)
 
 
 def test_the_surrogate_never_drives_scenes_of_another_layout(source: DataSet, built: Path, tmp_path: Path) -> None:
-    settings = replace(CHEAP, out=Path(shutil.copytree(built, tmp_path / "out")), surrogate=FAST)
+    settings = replace(QUICK, out=Path(shutil.copytree(built, tmp_path / "out")), surrogate=FAST)
     build_split(source, "adv", replace(settings, layout="per-variant", limit=1))
     report = build_split(source, "adv", settings)
     assert set(report.written) == set(open_data(built).scene_names("adv"))

@@ -25,10 +25,10 @@ from generation.pipeline.split import build_split
 from generation.search.adversary import ALGORITHM_VERSION
 from generation.splits.building import build_frozen
 from generation.splits.packaged import NamedSplit
-from tests.generation.labels.recorded_roads import CHEAP, HYPER, contents, recorded, write_source
+from tests.generation.labels.recorded_roads import CHEAP, QUICK, contents, recorded, write_source
 from tests.generation.splits.frozen_files import BUILT, frozen_file, recordings
 
-QUICK: dict[str, Any] = {"hyper": replace(HYPER, candidates=8, rounds=1, tries=1), "per_scene": 1}
+ONE_EACH: dict[str, Any] = {"hyper": QUICK.hyper, "per_scene": 1}
 """One adversary of each of the two scenes."""
 
 
@@ -44,7 +44,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def split(source: DataSet, folder: Path) -> NamedSplit:
-    return frozen_file(source, folder, **QUICK)
+    return frozen_file(source, folder, **ONE_EACH)
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +99,7 @@ def test_the_file_is_small_holds_nothing_of_the_recordings_and_is_frozen_again_t
     assert split.frozen.recordings.name and split.frozen.search.seed == 0
     assert split.frozen.chosen.scenes == 2
     before = contents(folder / "searched")
-    assert frozen_file(source, folder, **QUICK) == split
+    assert frozen_file(source, folder, **ONE_EACH) == split
     assert contents(folder / "searched") == before
 
 
@@ -177,7 +177,7 @@ def test_some_scenes_only(source: DataSet, split: NamedSplit, tmp_path: Path) ->
 
 def test_two_adversaries(tmp_path: Path) -> None:
     busy = write_source(tmp_path / "recorded", recorded("scene-9901"))
-    split = frozen_file(busy, tmp_path, adversaries=2, renderer=None, **QUICK)
+    split = frozen_file(busy, tmp_path, adversaries=2, renderer=None, **ONE_EACH)
     assert [len(frozen.adversaries) for frozen in split.frozen.scenes] == [2]
     report = build_frozen(busy, split, replace(BUILT, out=tmp_path / "out", renderer=None))
     assert report.other_tables == ()
