@@ -25,7 +25,7 @@ OLDER_WORDS = (
 )
 MINIATURE_NOTE = f"{MINIATURE_WORDS} (docs/miniatures.md)."
 FEW_SCENES = 20
-"""Below this many recorded scenes the intervals are clearly too narrow (docs/metrics.md has the measurement)."""
+"""Below this many recorded scenes the intervals are clearly too narrow (docs/studies/intervals.md)."""
 FEW_NOTE = f"Fewer than {FEW_SCENES} recorded scenes: the intervals are too narrow, only an indication."
 
 
