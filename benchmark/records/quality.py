@@ -172,6 +172,10 @@ class QualityFacts(Stored):
         schema_version: Version of the format.
         data: Data set.
         split: Split of the data set.
+        scenes: Names of the scenes that were scored.
+        scenes_in_split: More than ``scenes`` means that a part was asked for.
+        environment: Packages, processor, commit.
+        files: SHA-256 of the rows' files.
     """
 
     schema_version: int = Field(alias="schema")
