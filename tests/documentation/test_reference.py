@@ -13,7 +13,6 @@ REFERENCE = runpy.run_path(str(ROOT / "docs" / "making" / "reference.py"))
 def test_the_pages_of_the_reference_are_current() -> None:
     folder = ROOT / "docs" / "reference"
     pages = REFERENCE["reference_pages"]()
-    assert {path.name for path in folder.glob("*.md")} == set(pages)
     stale = [name for name, text in pages.items() if (folder / name).read_text() != text]
     assert not stale, "run python docs/making/reference.py"
     assert all(REFERENCE["GENERATED"] in text.splitlines()[:3] for text in pages.values())
