@@ -1,10 +1,12 @@
-"""The planners and the judge that how-to pages print work as they stand there."""
+"""Modules that how-to pages print work as they stand there."""
 
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -12,6 +14,8 @@ import benchmark
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD
 from benchmark.datasets.roots import DataSet
+from benchmark.machine.extension import import_reference
+from benchmark.protocols.exact import ExactProtocol
 from generation.sources.mini import TownSettings
 from tests.benchmark.cli.cli_runs import run_main
 
@@ -77,3 +81,22 @@ def test_checkpoints_of_another_architecture_are_evaluated(town: Path, desk: Cal
         assert said.json[0]["failed"] == 0 and said.json[0]["samples"] > 0
     refused = run_main("eval", "--data", town, "--split", "val", "--model", "my_vad:MyVAD", "--checkpoint", "other.pth")
     assert refused.code == 2 and "load" in refused.err
+
+
+def test_numbers_from_records_and_a_judge_as_printed(
+    town: Path, desk: Callable[[str, str], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    modules = printed("add-a-metric.md")
+    data = benchmark.open_data(town)
+    benchmark.evaluate(data, "val", benchmark.load_planner("constant-velocity"), Path("challenger-out", "runs"))
+    exec(modules["junctions.py"], {})
+    assert capsys.readouterr().out.startswith("constant-velocity on val: collides within 2 s on ")
+    desk("near.py", modules["near.py"])
+    offers = import_module("near").OFFERS
+    assert set(offers) <= set(vars(import_module("benchmark.machine.extension"))["OFFERS"]), "a kind that there is"
+    judge = import_reference(offers["judge"]["near"])()
+    truths = data.truth(data.scene_names("val")[0])
+    standing = np.zeros((len(truths), 6, 2))
+    near, exact = judge.evaluate(truths, standing), ExactProtocol().evaluate(truths, standing)
+    assert (near.collision >= exact.collision).all() and near.collision.sum() > exact.collision.sum()
+    assert judge.name == "near" and judge.version > 0
