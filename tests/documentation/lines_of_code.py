@@ -75,7 +75,7 @@ LONGER: Final = (
     r"challenger-bench data (stats|show|export|import|review)",
     r"my_planner",
     r"challenger-bench leaderboard",
-    r"challenger-bench transfer",
+    r"challenger-bench (transfer|failures)",
     r"my-adv-1\.json|boston-adv-1\.json",
     r"submit-check|--freeze|adv-seed-0",
     r"--data (/data/nuscenes|demo) --split adv",
