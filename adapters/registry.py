@@ -208,11 +208,24 @@ def require_known(name: str) -> None:
         if (called := Address.of(name, "--model").name) in known:
             raise InputError(f"{called} is already the name of a planner; give the server at {name} another name")
         return
-    if name not in known and ":" not in name:
+    module, colon, attribute = name.partition(":")
+    if name not in known and (module.endswith(".py") or "/" in module):
+        raise _file_name_error(name, Path(module), attribute)
+    if name not in known and not colon:
         raise InputError(
             f"unknown model {name!r}; {did_you_mean(name, known)}use {', '.join(known)}, or your own with --model "
             "package.module:Class"
         )
+
+
+def _file_name_error(name: str, file: Path, attribute: str) -> InputError:
+    """Refusal of a file where a module is wanted, with the module's name; of one elsewhere, from its folder."""
+    elsewhere = file.is_absolute() or ".." in file.parts
+    module = file.stem if elsewhere else ".".join(file.with_suffix("").parts)
+    how = f"run the command in {file.parent} with" if elsewhere else "use"
+    return InputError(
+        f"model {name!r} names a file where a module is wanted; {how} --model {module}:{attribute or 'Class'}"
+    )
 
 
 def describe_maker(name: str) -> str:

@@ -124,6 +124,8 @@ class DataSource:
             of_split = self._listed(split)
             _require_not_rejected(scenes, self._root, split, self.tables)
         except NoSuchSplitError as error:
+            if is_generated(split.lower()) and split != split.lower():
+                raise InputError(f"{name} has no split {split!r}; did you mean {split.lower()}?") from error
             if not is_generated(split) or not all_scenes:
                 raise
             raise InputError(

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import typer
 
@@ -24,6 +24,7 @@ from benchmark.errors import InputError
 from benchmark.report.words import pluralise
 
 if TYPE_CHECKING:
+    from adapters.registry import NamedPlanner
     from adapters.result_files.recognition import RecognisedFile
     from benchmark.api import PlannerSource
     from benchmark.datasets.roots import DataSet
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
     from benchmark.machine.workspace import Workspace
     from benchmark.records.run import RunRecord
     from benchmark.runs.plan_rows import PlannerFactory
+
+_LONGEST_NAME: Final = 100
+"""Characters of a planner's name in tables."""
 
 
 def open_result_files(options: "EvalOptions") -> "list[RecognisedFile]":
@@ -41,7 +45,7 @@ def open_result_files(options: "EvalOptions") -> "list[RecognisedFile]":
     from benchmark.machine.path_checks import require_file
     from benchmark.runs.planner_facts import require_known_native
 
-    plans, paths, wanted, name = options.plans, options.results, options.results_format, options.name
+    plans, paths, wanted = options.plans, options.results, options.results_format
     if plans is not None:
         require_known_native(options.native, f"plan file {plans}")
         require_file(plans, "--plans", (".csv", ".parquet", ".json"))
@@ -49,13 +53,11 @@ def open_result_files(options: "EvalOptions") -> "list[RecognisedFile]":
     if options.dump_results is not None:
         require_writable(options.dump_results)
     if not paths:
-        if wanted != AUTO or name is not None:
-            raise InputError(f"{'--name' if name is not None else '--format'} needs --results; add it")
+        if wanted != AUTO:
+            raise InputError("--format needs --results; add it")
         return []
     require_format(wanted)
     require_known_native(options.native, f"result file {paths[0]}")
-    if name is not None and (not name.strip() or not name.isprintable() or len(name) > 100):
-        raise InputError("--name must be printable text of at most 100 characters")
     return [recognise(path, wanted) for path in paths]
 
 
@@ -72,7 +74,7 @@ def load_file_planners(
     from adapters.result_files.planner import result_file_factory
 
     read_as: dict[str, Any] = {"scenes": scenes, "native": options.native, "frame": options.frame}
-    read_as["as_is"] = options.as_is
+    read_as |= {"as_is": options.as_is, "name": options.name}
     factories: list[Any] = []
     if options.plans is not None:
         partial = options.allow_partial
@@ -80,7 +82,7 @@ def load_file_planners(
             plan_file_factory(options.plans, dataset, split, records=[run_root], allow_partial=partial, **read_as)
         )
     if opened:
-        factories.append(result_file_factory(opened, dataset, split, name=options.name, **read_as))
+        factories.append(result_file_factory(opened, dataset, split, **read_as))
     for factory in factories:
         for sentence in factory.sentences:
             api.notify(sentence)
@@ -116,6 +118,7 @@ def eval_command(options: EvalOptions) -> None:
     from benchmark.runs.units import Shard
 
     _require_planner(options)
+    _require_name(options)
     protocols, scenes = _protocols_to_show(options.protocol), parse_name_list(options.scenes)
     own = take_options("planner", options.model)
     planners = api.PlannerSource.of(options, of_extensions=own).require()
@@ -158,7 +161,7 @@ def eval_command(options: EvalOptions) -> None:
         unchanged=elsewhere,
     )
     # Planners first: importing a class of another package may fail, and data may take minutes to build.
-    factories: list[PlannerFactory] = [*planners.load()]
+    factories: list[PlannerFactory] = [_rename_planner(planner, options.name) for planner in planners.load()]
     source = data.open()
     dataset = data.open_split(splits[0], source)
     if options.plans is not None or opened:
@@ -224,6 +227,23 @@ def _require_planner(options: EvalOptions) -> None:
         raise InputError(
             "--as-is applies only to --plans and --results; plans of running planners are always evaluated as they are"
         )
+
+
+def _require_name(options: EvalOptions) -> None:
+    """Refuse a name that cannot stand in tables, and one name for several planners."""
+    name = options.name
+    if name is None:
+        return
+    if not name.strip() or not name.isprintable() or len(name) > _LONGEST_NAME:
+        raise InputError(f"--name must be printable text of at most {_LONGEST_NAME} characters")
+    planners = len(options.model) + (options.plans is not None) + bool(options.results)
+    if planners > 1:
+        raise InputError(f"--name {name} names one planner, and the command runs {planners}; run them one at a time")
+
+
+def _rename_planner(planner: "NamedPlanner", name: str | None) -> "NamedPlanner":
+    """The planner whose record and rows of tables have a name of the user's choice, if one is given."""
+    return planner if name is None else replace(planner, facts=planner.facts.model_copy(update={"name": name}))
 
 
 def _processes(options: EvalOptions, planners: "PlannerSource") -> int:

@@ -36,7 +36,7 @@ _CORE: tuple[tuple[str, str], ...] = (
     (f"eval --results {{empty}} {_OUT}", "the folder is empty"),
     (f"eval --results {{file}} --format unaid {_OUT}", "did you mean uniad"),
     (f"eval --model idm --format uniad {_OUT}", "--results"),
-    (f"eval --model idm --name mine {_OUT}", "--results"),
+    (f"eval --model idm --model stop --name mine {_OUT}", "--name mine names one planner"),
     (f"eval --model idm --dump-results unaid {_OUT}", "did you mean uniad"),
     (f"eval --model vad --checkpoint {{new}}/vad.pth {_OUT}", "there is no checkpoint"),
     (f"eval --model uniad --device gpu {_OUT}", "unknown device 'gpu'"),
