@@ -32,7 +32,7 @@ class Failure:
         sample_token: ``None`` of drives.
         moment_s: When the plan was made, seconds since the scene's first sample; 0 of drives.
         contact_s: When something is touched first, on the same clock; of drives, seconds since the ego drives.
-        hit: Instance that is touched.
+        hit: Instance that is touched; ``None``, like ``contact_s``, where an old record does not say it.
         category: Its category; ``None`` where the record does not say it and no data set was given.
         adversary: Whether it is an adversary; ``None`` where the record does not say that.
         at_fault: Whether it is the planner's fault; ``None`` where that is not known.
@@ -43,8 +43,8 @@ class Failure:
     index: int
     sample_token: str | None
     moment_s: float
-    contact_s: float
-    hit: str
+    contact_s: float | None
+    hit: str | None
     category: str | None
     adversary: bool | None
     at_fault: bool | None
@@ -138,7 +138,7 @@ def _find_in_samples(record: RunRecord) -> Failures:
         place = int(columns.planned[row])
         scene, hit, severity = scenes[place], contacts.hits[row], contacts.severity[row]
         counted[scene] = counted.get(scene, 0) + 1
-        if not contacts.any_contact[row, AT_3_S] or hit is None:
+        if not contacts.any_contact[row, AT_3_S]:
             continue
         moment_s = (times[place] - began[scene]) * 1e-6
         failures.append(
@@ -147,8 +147,8 @@ def _find_in_samples(record: RunRecord) -> Failures:
                 index[place],
                 tokens[place],
                 moment_s,
-                moment_s + hit[1],
-                hit[0],
+                None if hit is None else moment_s + hit[1],
+                None if hit is None else hit[0],
                 None,
                 bool(contacts.adversary[row, AT_3_S]) if says_whom else None,
                 None if severity is None else severity.at_fault,
@@ -212,5 +212,5 @@ def _with_categories(scene: FailedScene, data: "DataSet") -> FailedScene:
     agents = data.scene(scene.scene).agents
     known = dict(zip(agents.ids, agents.categories, strict=True))
     return replace(
-        scene, failures=tuple(replace(failure, category=known.get(failure.hit)) for failure in scene.failures)
+        scene, failures=tuple(replace(failure, category=known.get(failure.hit or "")) for failure in scene.failures)
     )
