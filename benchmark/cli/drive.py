@@ -261,15 +261,16 @@ def _drive_planners(
 
     blind_places = [place for place, planner in enumerate(factories) if _is_blind(planner)]
     records: dict[int, DriveRecord] = {}
+    # They come last: another planner may turn out to need images, and is refused at its first plan.
+    for place, planner in enumerate(factories):
+        if place not in blind_places:
+            records[place] = drive_split(data, split, planner, root, how)
     if blind_places:
         blind_settings = _settings_of(factories[blind_places[0]], how)
         records |= zip(
             blind_places,
             drive_planners(data, split, [factories[place] for place in blind_places], root, blind_settings),
         )
-    for place, planner in enumerate(factories):
-        if place not in records:
-            records[place] = drive_split(data, split, planner, root, how)
     return [records[place] for place in range(len(factories))]
 
 

@@ -14,7 +14,7 @@ from tests.benchmark.records.test_drives import contact, failed, row
 from tests.hand_made import Car, scene_on_straight_road
 
 SCENES = {"A-1": "F.r.", "A-2": "..!s", "B-1": "f-..", "C-1": "...."}
-"""f: touches the adversary at fault, s: the same, of unknown fault, r: it runs into the ego, F: a bystander, !: raised."""
+"""f: touches the adversary at fault, s: of unknown fault, r: is run into by it, F: touches a bystander, !: raised."""
 
 
 def ran(scenes: dict[str, str] = SCENES) -> RunRecord:
