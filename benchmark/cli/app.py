@@ -192,6 +192,7 @@ add_command_of_extension("reproduce", _GROUPS)
 add_command(app, "doctor", verify.doctor_command)
 add_commands_of_others(_GROUPS)
 
+_INTERRUPTED: Final = 130
 _LONGEST_SENTENCE: Final = 1000
 _PATH_ERRNOS: Final = frozenset(
     (errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR)
@@ -231,8 +232,10 @@ def main() -> None:
         # Without a command Typer raises its help text, which has several lines and is not an error.
         code = _fail(message) if "\n" not in message else _help(message)
     except (KeyboardInterrupt, typer.Abort):
+        code = _INTERRUPTED
+    if code == _INTERRUPTED:
+        # Typer makes it of an interrupt that it sees first.
         typer.echo("interrupted; finished work is kept, the same command resumes", err=True)
-        code = 130
     sys.exit(code if isinstance(code, int) else 0)
 
 

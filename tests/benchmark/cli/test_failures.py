@@ -65,7 +65,7 @@ def test_without_a_failure_it_says_so(tmp_path: Path) -> None:
     ("arguments", "says"),
     [
         ((), "name a planner with --model; found records of mini (adv: vad-mini)"),
-        (("--model", "VAD-mini"), "did you mean vad-mini? "),
+        (("--model", "VAD-mini"), "did you mean vad-mini, "),
         (("--model", "idm"), "make it with: challenger-bench eval --model idm --split adv --out {out}"),
         (("--model", "vad", "--split", "val"), "challenger-bench eval --model vad --split val --out {out}"),
         (("--model", "mine:Planner"), "challenger-bench eval --model mine:Planner --split adv --out {out}"),
