@@ -9,7 +9,7 @@ import typer
 
 from benchmark import api
 from benchmark.cli.eval_options import EvalOptions
-from benchmark.cli.options import parse_name_list
+from benchmark.cli.options import parse_name_list, parse_shard
 from benchmark.cli.output import (
     print_json,
     print_next_steps,
@@ -39,7 +39,6 @@ _LONGEST_NAME: Final = 100
 
 def open_result_files(options: "EvalOptions") -> "list[RecognisedFile]":
     """Result files of ``--results`` with their formats; the file of ``--plans`` is checked too, before any build."""
-    from adapters.plan_file import read_plan_file
     from adapters.result_files.recognition import AUTO, recognise, require_format
     from adapters.result_files.writing.formats import require_writable
     from benchmark.machine.path_checks import require_file
@@ -49,6 +48,9 @@ def open_result_files(options: "EvalOptions") -> "list[RecognisedFile]":
     if plans is not None:
         require_known_native(options.native, f"plan file {plans}")
         require_file(plans, "--plans", (".csv", ".parquet", ".json"))
+        # Slow to import.
+        from adapters.plan_file import read_plan_file
+
         read_plan_file(plans)
     if options.dump_results is not None:
         require_writable(options.dump_results)
@@ -110,19 +112,16 @@ def write_dumps(
 @command(EvalOptions)
 def eval_command(options: EvalOptions) -> None:
     """Run planners on splits, write run records, and print the tables."""
-    from benchmark.evaluation import EvalSettings, evaluate_together
     from benchmark.machine.path_checks import require_place
-    from benchmark.protocols import PROTOCOLS, STANDARD
-    from benchmark.records.attempts import is_adversarial
-    from benchmark.records.reproduction import find_reproductions, with_reproductions
-    from benchmark.runs.units import Shard
+    from benchmark.machine.workspace import is_adversarial
 
+    # What is quick to refuse comes before what is slow to import.
     _require_planner(options)
     _require_name(options)
-    protocols, scenes = _protocols_to_show(options.protocol), parse_name_list(options.scenes)
     own = take_options("planner", options.model)
     planners = api.PlannerSource.of(options, of_extensions=own).require()
-    shard = None if options.shard is None else Shard.named(options.shard)
+    protocols, scenes = _protocols_to_show(options.protocol), parse_name_list(options.scenes)
+    shard = parse_shard(options.shard)
     count = _processes(options, planners)
     planners.require_frame(of_file=options.plans is not None or bool(options.results))
     planners.require_servers()
@@ -148,6 +147,12 @@ def eval_command(options: EvalOptions) -> None:
         ]
         print_plan(list(dict.fromkeys(planned)), json_output=options.json_output)
         return
+    # Planners first: importing a class of another package may fail, and data may take minutes to build.
+    factories: list[PlannerFactory] = [_rename_planner(planner, options.name) for planner in planners.load()]
+    from benchmark.evaluation import EvalSettings, evaluate_together
+    from benchmark.protocols import PROTOCOLS, STANDARD
+    from benchmark.records.reproduction import find_reproductions, with_reproductions
+
     space = api.workspace(options.out)
     run_root = space.run_root()
     settings = EvalSettings(
@@ -160,8 +165,6 @@ def eval_command(options: EvalOptions) -> None:
         asked=() if "all" in (options.protocol or ()) else protocols or (),
         unchanged=elsewhere,
     )
-    # Planners first: importing a class of another package may fail, and data may take minutes to build.
-    factories: list[PlannerFactory] = [_rename_planner(planner, options.name) for planner in planners.load()]
     source = data.open()
     dataset = data.open_split(splits[0], source)
     if options.plans is not None or opened:
@@ -248,7 +251,6 @@ def _rename_planner(planner: "NamedPlanner", name: str | None) -> "NamedPlanner"
 
 def _processes(options: EvalOptions, planners: "PlannerSource") -> int:
     """How many processes plan: one where a planner remembers across scenes."""
-    from benchmark.evaluation import require_whole_split
     from benchmark.machine.several_devices import count_workers, require_one_device
 
     count = api.worker_count(count_workers(options.workers, options.device))
@@ -256,6 +258,8 @@ def _processes(options: EvalOptions, planners: "PlannerSource") -> int:
         require_one_device(options.device, "a shard plans in one process, on its own device")
     if not planners.remembers_across_scenes():
         return count
+    from benchmark.evaluation import require_whole_split
+
     require_one_device(options.device, "a planner that keeps state across scenes must plan all of them in one process")
     require_whole_split("the model", parse_name_list(options.scenes), options.limit, options.workers)
     return 1

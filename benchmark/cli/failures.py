@@ -107,7 +107,7 @@ def _find_recorded_name(options: FailuresOptions, here: Sequence[str]) -> str | 
 def _no_record_error(options: FailuresOptions, data: str, recorded: "Sequence[RecordIdentity]") -> InputError:
     """Refusal that names the command that makes the record."""
     from adapters.models import MODELS
-    from adapters.registry import installed_planners
+    from adapters.planners.names import installed_planners
     from benchmark.records.store import describe_recorded
 
     name, found = options.model, describe_recorded(recorded)

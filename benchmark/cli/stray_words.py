@@ -14,7 +14,7 @@ def explain_stray_words(words: list[str], options: Collection[str]) -> str:
 def _find_option(word: str) -> str:
     """Option that takes such a word: a file or folder by its name, a split, a planner, else none."""
     from adapters.models import MODELS
-    from adapters.registry import installed_planners
+    from adapters.planners.names import installed_planners
     from benchmark.machine.address import is_address
     from benchmark.machine.workspace import EMBEDDED_NAMES, is_generated
 

@@ -1,18 +1,20 @@
 """Where a command finds its data set and puts what it makes (docs/decisions/0002)."""
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Final
 
-from benchmark.datasets.roots import DataSet, open_data
-from benchmark.datasets.split_names import NoSuchSplitError
 from benchmark.errors import InputError
 from benchmark.machine.user_cache import cache_root as cache_root
-from benchmark.records.attempts import parse_seed
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
 
 GENERATED_SPLITS = ("val-r", "adv")
 """Splits that `generate` builds, beside the source's own."""
-# Beside these: one split for each seed (`benchmark.records.attempts`).
+# Beside these: one split for each seed (`parse_seed`).
 EMBEDDED = "mini"
 DEMONSTRATED = "demo"
 """The small town, and the ``adv`` made from it, that ``challenger-bench demo`` leaves below ``--out``."""
@@ -20,6 +22,20 @@ EMBEDDED_NAMES = (EMBEDDED, DEMONSTRATED)
 """Values of ``--data`` beside the root of a data set; a folder of such a name is written ``./demo``."""
 
 TIMINGS_FOLDER = "timings"
+
+
+_OF_SEED: Final = re.compile(r"adv-seed-(0|[1-9]\d{0,17})")
+
+
+def parse_seed(split: str) -> int | None:
+    """Seed of a split that is called after one, else ``None``."""
+    named = _OF_SEED.fullmatch(split)
+    return int(named[1]) if named else None
+
+
+def is_adversarial(split: str) -> bool:
+    """Whether a split is ``adv``, or one of those of several seeds."""
+    return split == "adv" or parse_seed(split) is not None
 
 
 def find_timings_folder(made: Path) -> Path:
@@ -97,7 +113,7 @@ class Workspace:
         """Folder of what takes long to draw, kept between the stages of photorealistic rendering."""
         return self.out / "rendering"
 
-    def open_split(self, source: DataSet, split: str, *, build: Callable[[], Path] | None = None) -> DataSet:
+    def open_split(self, source: "DataSet", split: str, *, build: Callable[[], Path] | None = None) -> "DataSet":
         """The data set that holds a split of a source.
 
         Args:
@@ -112,6 +128,8 @@ class Workspace:
         Raises:
             InputError: If the split has not been generated, or was made from another version of the source.
         """
+        from benchmark.datasets.roots import open_data
+
         root = self.split_root(source.name, split)
         if not is_generated(split) or (not root.exists() and _has_split(source, split)):
             return source
@@ -144,7 +162,9 @@ def is_finished(root: Path) -> bool:
     return any(root.glob("*/challenger.json")) or any(root.glob("v*/*/challenger.json"))
 
 
-def _has_split(source: DataSet, split: str) -> bool:
+def _has_split(source: "DataSet", split: str) -> bool:
+    from benchmark.datasets.split_names import NoSuchSplitError
+
     try:
         return bool(source.scene_names(split))
     except NoSuchSplitError:
