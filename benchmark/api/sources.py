@@ -190,8 +190,8 @@ def _preview_embedded(split: str, out: Path, scenes: Sequence[str] | None, limit
         cache_root,
         format_generate_options,
         is_finished,
-        parse_seed,
     )
+    from benchmark.records.seed_splits import parse_seed
 
     splits = ("val", *GENERATED_SPLITS)
     if parse_seed(split) is not None and not is_finished(made_by_seed := workspace(out).split_root(EMBEDDED, split)):

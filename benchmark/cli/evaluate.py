@@ -113,7 +113,7 @@ def write_dumps(
 def eval_command(options: EvalOptions) -> None:
     """Run planners on splits, write run records, and print the tables."""
     from benchmark.machine.path_checks import require_place
-    from benchmark.machine.workspace import is_adversarial
+    from benchmark.records.seed_splits import is_adversarial
 
     # What is quick to refuse comes before what is slow to import.
     _require_planner(options)

@@ -33,13 +33,16 @@ class FailuresOptions:
     categories: shared.Categories = None
     out: shared.Out = api.OUT
     drives: Annotated[bool, Option("Failures of its drives in closed loop instead.", "Input")] = False
-    limit: Annotated[int, Option("List so many scenes, samples and crashes at most.", "Output", min=1)] = 10
+    limit: Annotated[int, Option("Only the first so many scenes.", "Output", min=1)] = 10
     json_output: shared.Json = False
 
 
 @command(FailuresOptions)
 def failures_command(options: FailuresOptions) -> None:
-    """List the worst scenes and samples of a planner (exact, 3 s) from its record: what it hits and when."""
+    """List the worst scenes and samples of a planner (exact, 3 s) from its record: what it hits, when, at whose fault.
+
+    The worst come first, contacts with the adversary before others; --limit is of scenes, samples and crashes alike.
+    """
     records = _load_records(options)
     from benchmark.metrics.failures import find_failures
     from benchmark.runs.units import FAILURES_FILE

@@ -1,20 +1,20 @@
 """Where a command finds its data set and puts what it makes (docs/decisions/0002)."""
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from benchmark.errors import InputError
 from benchmark.machine.user_cache import cache_root as cache_root
+from benchmark.records.seed_splits import parse_seed
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
 
 GENERATED_SPLITS = ("val-r", "adv")
 """Splits that `generate` builds, beside the source's own."""
-# Beside these: one split for each seed (`parse_seed`).
+# Beside these: one split for each seed (`benchmark.records.seed_splits`).
 EMBEDDED = "mini"
 DEMONSTRATED = "demo"
 """The small town, and the ``adv`` made from it, that ``challenger-bench demo`` leaves below ``--out``."""
@@ -22,20 +22,6 @@ EMBEDDED_NAMES = (EMBEDDED, DEMONSTRATED)
 """Values of ``--data`` beside the root of a data set; a folder of such a name is written ``./demo``."""
 
 TIMINGS_FOLDER = "timings"
-
-
-_OF_SEED: Final = re.compile(r"adv-seed-(0|[1-9]\d{0,17})")
-
-
-def parse_seed(split: str) -> int | None:
-    """Seed of a split that is called after one, else ``None``."""
-    named = _OF_SEED.fullmatch(split)
-    return int(named[1]) if named else None
-
-
-def is_adversarial(split: str) -> bool:
-    """Whether a split is ``adv``, or one of those of several seeds."""
-    return split == "adv" or parse_seed(split) is not None
 
 
 def find_timings_folder(made: Path) -> Path:

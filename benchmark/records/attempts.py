@@ -7,8 +7,6 @@ from typing import Any, Final
 from pydantic import BaseModel, ConfigDict, Field
 
 from benchmark.machine.storage import read_json_lines
-from benchmark.machine.workspace import is_adversarial as is_adversarial
-from benchmark.machine.workspace import parse_seed as parse_seed
 from benchmark.records.run_schema import GeneratedFacts
 from benchmark.records.scene_assessment import SceneAssessment
 from benchmark.records.store import validate_stored
@@ -186,11 +184,6 @@ def list_stored_labels(report: Any) -> list[Any]:
 
 SEARCH: Final = "search"
 """In ``challenger.json`` of such a split: hash of everything but the seed that decided its search."""
-
-
-def format_seed_split(seed: int) -> str:
-    """Name of the split that is searched with a seed."""
-    return f"adv-seed-{seed}"
 
 
 def read_generated_facts(made: Mapping[str, Any] | None) -> GeneratedFacts | None:

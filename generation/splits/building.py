@@ -9,9 +9,9 @@ from typing import Any, Final
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, lock_folder, read_cached_json, write_json
-from benchmark.records.attempts import parse_seed
 from benchmark.records.review import REJECTED, StandingVerdict
 from benchmark.records.scene_assessment import SceneAssessment, is_unsolvable
+from benchmark.records.seed_splits import parse_seed
 from benchmark.report.words import pluralise, spell_name
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, SourceInfo
