@@ -35,8 +35,8 @@ class ObservationPacker:
             *(ego.can_motion, ego.can_motion_after, seen.past_poses, seen.past_valid),
             *(lidar.translation, lidar.rotation),
         ]
-        views: list[Any] | None = None if isinstance(seen.views, NoViews) else []
-        for name, view in () if views is None else seen.views.items():
+        unseeing, views = isinstance(seen.views, NoViews), []
+        for name, view in () if unseeing else seen.views.items():
             camera = view.camera
             arrays += [camera.translation, camera.rotation, camera.intrinsic, view.global_T_ego]
             views.append((name, camera.name, camera.width, camera.height, str(view.path), view.timestamp_us))
@@ -44,7 +44,7 @@ class ObservationPacker:
         known, self._said = layout == self._said, layout
         values = (seen.scene, seen.sample_token, seen.index, seen.timestamp_us, int(seen.command))
         motion = (ego.yaw_rate, ego.steering_angle, ego.source)
-        return values, motion, views, None if known else layout, _join_bytes(arrays)
+        return values, motion, None if unseeing else views, None if known else layout, _join_bytes(arrays)
 
 
 class ObservationUnpacker:

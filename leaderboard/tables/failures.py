@@ -4,6 +4,7 @@ from typing import Final
 
 from benchmark.metrics.failures import Crash, FailedScene, Failure, Failures
 from benchmark.records.drives import DriveRecord
+from benchmark.records.run_schema import RecordFacts
 from benchmark.report.cells import UNDEFINED, format_number
 from benchmark.report.table import Table, build_table
 from benchmark.report.words import pluralise
@@ -19,6 +20,7 @@ _FAULT_WORDS: Final = {True: "yes", False: "no", None: UNDEFINED}
 def describe_failures(failures: Failures) -> str:
     """Sentence on how many samples, or drives, and scenes fail."""
     record, found, unit = failures.record, failures.worst, failures.unit
+    facts: RecordFacts
     if isinstance(record, DriveRecord):
         facts, how = record.facts, f"{record.facts.measured.world}, sensor {record.facts.measured.sensor}"
         verb = "touch something" if len(found) != 1 else "touches something"
@@ -44,7 +46,7 @@ def failure_tables(failures: Failures, limit: int) -> list[Table]:
     number = "run" if unit == "drive" else "sample"
     if failures.scenes:
         scenes, worst = failures.scenes[:limit], failures.worst[:limit]
-        columns = ("scene", f"worst {number}", f"failed {unit}s", "adversary", "at fault")
+        columns: tuple[str, ...] = ("scene", f"worst {number}", f"failed {unit}s", "adversary", "at fault")
         rows = [_scene_row(scene) for scene in scenes]
         tables.append(build_table("", _title("worst scenes", len(scenes), len(failures.scenes)), columns, rows))
         columns = ("scene", "hits", "at fault", number, "at s", "contact s", "delta-v")
