@@ -1,6 +1,5 @@
 """Stored attempts of the search for adversaries (``attempts.jsonl``, ``challenger.json``); names of seeded splits."""
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -216,25 +215,8 @@ def list_stored_labels(report: Any) -> list[Any]:
     return [stored for stored in labels if stored is not None]
 
 
-_NAMED: Final = re.compile(r"adv-seed-(0|[1-9]\d{0,17})")
 SEARCH: Final = "search"
 """In ``challenger.json`` of such a split: hash of everything but the seed that decided its search."""
-
-
-def format_seed_split(seed: int) -> str:
-    """Name of the split that is searched with a seed."""
-    return f"adv-seed-{seed}"
-
-
-def parse_seed(split: str) -> int | None:
-    """Seed of a split that is called after one, else ``None``."""
-    named = _NAMED.fullmatch(split)
-    return int(named[1]) if named else None
-
-
-def is_adversarial(split: str) -> bool:
-    """Whether a split is ``adv``, or one of those of several seeds."""
-    return split == "adv" or parse_seed(split) is not None
 
 
 def read_generated_facts(made: Mapping[str, Any] | None) -> GeneratedFacts | None:

@@ -11,8 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, content_key, read_json, write_bytes
-from benchmark.records.attempts import is_adversarial
 from benchmark.records.review import LONGEST_REASON
+from benchmark.records.seed_splits import is_adversarial
 from benchmark.records.store import validate_stored
 
 FORMAT: Final = "challenger-bench frozen split"

@@ -5,11 +5,11 @@ from dataclasses import replace
 from typing import Protocol
 
 from benchmark.metrics.scores import find_protocol_version, map_scenes_to_sources
-from benchmark.records.attempts import is_adversarial
 from benchmark.records.planner_versions import list_file_notes
 from benchmark.records.review import NOT_REVIEWED, describe_review
 from benchmark.records.run import NATIVE, RunRecord
 from benchmark.records.run_schema import RecordFacts
+from benchmark.records.seed_splits import is_adversarial
 from benchmark.report.cells import MINIATURE_MARK, MINIATURE_WORDS, TableCell
 from benchmark.report.words import pluralise
 
