@@ -229,7 +229,8 @@ def _load_file_planners_of(
     from adapters.plan_file import OtherSamplesError
     from benchmark.untrusted.files import RefusedFileError
 
-    run_root, refused = api.workspace(options.out).run_root(), []
+    run_root = api.workspace(options.out).run_root()
+    refused: list[InputError] = []
     for split in splits:
         dataset = open_split(split)
         try:
