@@ -250,13 +250,17 @@ def _tokens_of_keyframes(plans: PlanFile, data: "DataSet", samples: "SplitSample
     return {row: rows[row] for row in sorted(named & rows.keys())}
 
 
+class OtherSamplesError(InputError):
+    """A plan file has no row of a split."""
+
+
 def _other_split_error(
     plans: PlanFile,
     data: "DataSet",
     split: str,
     samples: "SplitSamples",
     records: Sequence[Path],
-) -> InputError | None:
+) -> OtherSamplesError | None:
     """Error of a file without a row of the split."""
     present = set(plans.keys)
     if not present.isdisjoint(set().union(*samples.values())):
@@ -275,7 +279,7 @@ def _other_split_error(
     elif recorded_split is not None:
         its = f"split {recorded_split.split!r} of {recorded_split.data}"
         seems = f"they are samples of {its}, of which there are records"
-    return InputError(
+    return OtherSamplesError(
         f"{plans.path}: none of its {len(plans.keys)} rows belongs to split {split!r} of {data.name}; {seems}"
     )
 

@@ -8,12 +8,16 @@ from typing import TYPE_CHECKING, Any, Final
 from benchmark.api.opening import DEFAULT_IMAGE_SIZE, OUT, open_data, open_split, worker_count, workspace
 from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.path_checks import format_gigabytes, require_place, require_room
-from benchmark.report.words import pluralise
+from benchmark.report.words import format_options, pluralise
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
     from benchmark.datasets.schema import FaultList
     from generation.splits.packaged import NamedSplit
+
+
+class NoSuchSceneError(InputError):
+    """A split has no scene of a name."""
 
 
 def select_matching_options(target: type, options: Any) -> dict[str, Any]:
@@ -134,9 +138,11 @@ class DataSource:
                 raise InputError(f"{name} has no split {split!r}; did you mean {split.lower()}?") from error
             if not is_generated(split) or not all_scenes:
                 raise
-            raise InputError(
-                f"split {split!r} of {name} is missing at {split_folder}; build it with: challenger-bench generate "
-                f"--data {self.data} {format_generate_options(split)} --out {self.out}"
+            given = format_options(data=self.data, tables=self.tables, categories=self.categories)
+            raise NoSuchSplitError(
+                f"split {split!r} of {name} is missing at {split_folder}; build it with: challenger-bench generate"
+                f"{given} {format_generate_options(split)}{format_options(out=self.out)}",
+                error.available,
             ) from error
         return SourcePreview(_choose_scenes(of_split, split, scenes, limit))
 
@@ -197,7 +203,7 @@ def _preview_embedded(split: str, out: Path, scenes: Sequence[str] | None, limit
     if parse_seed(split) is not None and not is_finished(made_by_seed := workspace(out).split_root(EMBEDDED, split)):
         raise InputError(
             f"split {split!r} of {EMBEDDED} is missing at {made_by_seed}; build it with: challenger-bench generate "
-            f"{format_generate_options(split)} --out {out}"
+            f"{format_generate_options(split)}{format_options(out=out)}"
         )
     if parse_seed(split) is None and split not in splits:
         raise InputError(
@@ -260,7 +266,7 @@ def _choose_scenes(
     unknown = sorted(set(scenes or ()) - set(known))
     if unknown:
         where = "there is" if split is None else f"split {split!r} has"
-        raise InputError(
+        raise NoSuchSceneError(
             f"{where} no scene {', '.join(unknown[:3])}{' ...' if len(unknown) > 3 else ''}; "
             f"{did_you_mean(unknown[0], known)}it has {pluralise(len(known), 'scene')}, among them "
             f"{', '.join(known[:3])}"

@@ -7,7 +7,7 @@ from benchmark import api
 from benchmark.cli import options as shared
 from benchmark.cli.built_splits import require_cluster, require_trajectory_model
 from benchmark.cli.options import list_hyper_parameters, make_executor, parse_image_size, parse_name_list
-from benchmark.cli.output import print_next_steps, print_plan, print_result, repeat_out_option
+from benchmark.cli.output import print_next_steps, print_plan, print_result, suggest_leaderboard
 from benchmark.cli.settings import Option, command
 
 
@@ -47,7 +47,7 @@ class AblateOptions:
         return list_hyper_parameters()
 
 
-@command(AblateOptions)
+@command(AblateOptions, panel="Advanced")
 def ablate_command(options: AblateOptions) -> None:
     """Run the paper's ablation: full search, without refinement (MTR), without scoring (TS), without both."""
     from benchmark.machine.path_checks import require_place
@@ -105,6 +105,6 @@ def ablate_command(options: AblateOptions) -> None:
     print_result(report_json, report.table().plain(wide=options.wide), json_output=options.json_output)
     print_next_steps(
         f"study: {settings.out}",
-        (f"leaderboard{repeat_out_option(options.out)}", "tables of all records next to the paper's"),
+        suggest_leaderboard(options.out, *settings.out.glob("*.json")),
         json_output=options.json_output,
     )

@@ -29,7 +29,7 @@ from benchmark.cli import (
     verify,
     weights,
 )
-from benchmark.cli.help import FullSummaryGroup
+from benchmark.cli.help import WIDEST, FullSummaryGroup
 from benchmark.cli.settings import add_command
 from benchmark.constants import VERSION
 from benchmark.errors import InputError
@@ -87,7 +87,7 @@ def _list_commands(groups: Groups) -> Iterator[str]:
 def _add(words: str, command: typer.Typer | Callable[..., Any], groups: Groups) -> None:
     group, _, last = words.rpartition(" ")
     if isinstance(command, typer.Typer):
-        groups[group].add_typer(command, name=last)
+        groups[group].add_typer(command, name=last, rich_help_panel=command.rich_help_panel)
     else:
         add_command(groups[group], last, command)
 
@@ -150,6 +150,7 @@ app = typer.Typer(
     help="Adversarial driving scenes from nuScenes-format data, and driving models measured on them.",
     no_args_is_help=True,
     add_completion=True,
+    context_settings={"max_content_width": WIDEST},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -169,26 +170,26 @@ add_command(data.app, "pack", packages.data_pack_command)
 add_command(data.app, "unpack", packages.data_unpack_command)
 add_command_of_extension("data card", _GROUPS)
 add_command_of_extension("leaderboard card", _GROUPS)
-app.add_typer(data.app, name="data")
-add_command_of_extension("train", _GROUPS)
-app.add_typer(weights.app, name="weights")
-app.add_typer(show.leaderboard_app, name="leaderboard")
+_add("data", data.app, _GROUPS)
+_add("leaderboard", show.leaderboard_app, _GROUPS)
 add_command_of_extension("challenge", _GROUPS)
+_add("weights", weights.app, _GROUPS)
+add_command_of_extension("train", _GROUPS)
+add_command(app, "demo", demo.demo_command)
 add_command(app, "generate", generate.generate_command)
-add_command(app, "ablate", ablate.ablate_command)
 add_command(app, "eval", evaluate.eval_command)
 add_command(app, "drive", drive.drive_command)
-add_command_of_extension("serve", _GROUPS)
 add_command(app, "models", models.models_command)
-add_command(app, "rescore", rescoring.rescore_command)
+add_command_of_extension("quality", _GROUPS)
 add_command(app, "transfer", rescoring.transfer_command)
 add_command(app, "failures", failures.failures_command)
-add_command_of_extension("quality", _GROUPS)
 add_command(app, "sheets", show.sheets_command)
 add_command_of_extension("film", _GROUPS)
-add_command(app, "verify", verify.verify_command)
-add_command(app, "demo", demo.demo_command)
+add_command(app, "rescore", rescoring.rescore_command)
+add_command(app, "ablate", ablate.ablate_command)
 add_command_of_extension("reproduce", _GROUPS)
+add_command_of_extension("serve", _GROUPS)
+add_command(app, "verify", verify.verify_command)
 add_command(app, "doctor", verify.doctor_command)
 add_commands_of_others(_GROUPS)
 

@@ -1,14 +1,22 @@
 """Splits built by one ``generate`` command: one split, or one for each of several seeds; searched for, or frozen."""
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from benchmark import api
-from benchmark.cli.output import print_next_steps, print_shard_progress
+from benchmark.cli.output import (
+    find_records_of,
+    is_newer,
+    print_next_steps,
+    print_shard_progress,
+    repeat_data_options,
+)
 from benchmark.cli.settings import is_given
 from benchmark.errors import InputError
+from benchmark.report.words import format_options
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -125,7 +133,11 @@ def list_frozen_scenes(
 
 
 def build_split_of_command(
-    source: "DataSet", one: SplitToBuild, settings: "BuildSettings", unlike: "Sequence[str]", *, profile: bool
+    source: "DataSet",
+    one: SplitToBuild,
+    settings: "BuildSettings",
+    unlike: "Sequence[str]",
+    options: "GenerateOptions",
 ) -> BuildOutcome:
     """Build a split; what is said of it names where the preset departs from its name and where the time went."""
     if one.frozen is not None:
@@ -136,15 +148,16 @@ def build_split_of_command(
 
             write_frozen(one.freeze, one.frozen.frozen)
         built = build_frozen(source, one.frozen, settings, as_split=one.split)
-        return BuildOutcome(built.summary(), built.as_json())
+        return BuildOutcome(built.summary(verbose=options.verbose), built.as_json())
     from generation.pipeline.split import build_split
 
     report = build_split(source, one.split, settings)
-    runtime = report.runtime if profile else None
+    runtime = report.runtime if options.profile else None
     departures = {"departures": list(unlike)} if unlike else {}
     timed = {} if runtime is None else {"runtime": runtime.model_dump()}
     table = "" if runtime is None else "\n" + runtime.table().plain(indent="  ", least=(10, 9, 9, 9)).rstrip("\n")
-    return BuildOutcome("\n".join([report.summary(), *unlike]) + table, report.as_json() | departures | timed)
+    text = "\n".join([report.summary(verbose=options.verbose), *unlike]) + table
+    return BuildOutcome(text, report.as_json() | departures | timed)
 
 
 def build_shards(
@@ -152,11 +165,10 @@ def build_shards(
     wanted: "Sequence[SplitToBuild]",
     settings: "Sequence[BuildSettings]",
     shard: "Shard",
-    again: str,
     *,
     json_output: bool,
 ) -> None:
-    """Do one shard of each split and say what comes next; ``again`` leads another command to the same place."""
+    """Do one shard of each split and say what comes next."""
     from generation.pipeline.shards import build_shard, draw_frozen_shard
 
     finished_shards = []
@@ -167,15 +179,13 @@ def build_shards(
             )
         else:
             finished_shards.append(build_shard(source, split_to_build.split, split_settings, shard))
-    for did, why in (
-        ("searched", "with the same options, once all shards are done: with --shard to draw in shards, or without"),
-        ("drawn", "with the same options and no --shard, once all shards are done"),
+    for did, when in (
+        ("searched", "once all shards are done; with --shard it draws in shards"),
+        ("drawn", "once all shards are done"),
     ):
-        if did in {progress.did for progress in finished_shards}:
-            shards_of_step = [progress.finished for progress in finished_shards if progress.did == did]
-            print_shard_progress(
-                shard, shards_of_step, did, (f"generate --split {wanted[0].split}{again}", why), json_output=json_output
-            )
+        shards_of_step = [progress.finished for progress in finished_shards if progress.did == did]
+        if shards_of_step:
+            print_shard_progress(shard, shards_of_step, did, when, json_output=json_output)
 
 
 def require_shardable(shard: "Shard | None", surrogate: str | None, executor: "Executor") -> None:
@@ -194,18 +204,28 @@ def require_shardable(shard: "Shard | None", surrogate: str | None, executor: "E
 
 
 def print_built_splits(
-    wanted: "Sequence[SplitToBuild]", settings: "Sequence[BuildSettings]", again: str, *, json_output: bool
+    wanted: "Sequence[SplitToBuild]", settings: "Sequence[BuildSettings]", data_name: str, options: "GenerateOptions"
 ) -> None:
-    """Say where the built splits are, and what comes next; ``again`` leads another command to them."""
+    """Say where the built splits are, and what comes next."""
+    from benchmark.machine.workspace import is_finished
+
     roots, files = (
         ", ".join(map(str, places))
         for places in zip(*((split_settings.out, split_settings.freeze) for split_settings in settings))
     )
+    split, root = wanted[0].split, settings[0].out
+    # Written anew only if they change.
+    pictures, made = options.out / "pictures" / data_name / split, [*root.glob("*.json")]
+    show = (f"data show {shlex.quote(str(root))}{format_options(to=pictures)}", "draw a picture of each scene")
+    # Without --split a planner runs on the unchanged recordings too.
+    named = format_options(split=None if split == "adv" else split, model="idm") + repeat_data_options(options)
+    evaluate = (f"eval{named}", "a planner on it; yours: docs/planners.md")
+    judged = [file for file in find_records_of(options.out, data_name, split, "idm") if is_newer(file, made)]
+    steps = (None if is_newer(pictures, made) else show, None if judged else evaluate)
     print_next_steps(
         f"data set: {roots}" + ("" if wanted[0].freeze is None else f"; frozen split: {files}"),
-        (f"data show {settings[0].out} --to pictures", "draw a picture of each scene"),
-        (f"eval --split {wanted[0].split} --model idm{again}", "a planner on it; see docs/planners.md"),
-        json_output=json_output,
+        *(steps if is_finished(root) else ()),
+        json_output=options.json_output,
     )
 
 

@@ -20,7 +20,10 @@ if TYPE_CHECKING:
     from benchmark.records.statistics import SplitAssessment
 
 app = typer.Typer(
-    cls=FullSummaryGroup, help="Look at, check, import, build and export data sets.", no_args_is_help=True
+    cls=FullSummaryGroup,
+    help="Look at, check, import, build and export data sets.",
+    no_args_is_help=True,
+    rich_help_panel="Data",
 )
 export_app = typer.Typer(cls=FullSummaryGroup, help="Write a data set for the code of others.", no_args_is_help=True)
 app.add_typer(export_app, name="export")

@@ -9,7 +9,7 @@ import typer
 
 from benchmark import api
 from benchmark.cli import options as shared
-from benchmark.cli.output import print_json, print_next_steps, print_result, repeat_out_option
+from benchmark.cli.output import print_json, print_next_steps, print_result, print_tables, repeat_out_option
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
 from benchmark.report.words import pluralise
@@ -198,10 +198,11 @@ class DemoOptions:
     to: Annotated[Path, Option("With --full: folder of the page and its numbers.", "Output")] = RESULTS
     workers: shared.Workers = 0
     wide: shared.Wide = False
+    verbose: shared.Verbose = False
     json_output: shared.Json = False
 
 
-@command(DemoOptions)
+@command(DemoOptions, panel="Run")
 def demo_command(options: DemoOptions) -> None:
     """Tell the whole story on the embedded data: generate, evaluate, transfer, tables, site."""
     from benchmark.machine.path_checks import require_place, require_room
@@ -220,6 +221,7 @@ def demo_command(options: DemoOptions) -> None:
         files = [str(path) for path in full_demo(options.out, options.to, workers=options.workers)]
         print_result({"files": files}, "\n".join(files), json_output=options.json_output)
         return
+    from generation.search.verify import format_masked_steps
     from leaderboard.frame.runs import DataSetRuns
     from leaderboard.tables.collision import run_tables
     from leaderboard.tables.effect import effect_table
@@ -230,18 +232,21 @@ def demo_command(options: DemoOptions) -> None:
     if options.json_output:
         print_json({"leaderboard": str(options.out / "leaderboard"), "generated": report.as_json()})
         return
-    tell("")
+    tell(f"{format_masked_steps(report.masked_steps)}\n" if options.verbose else "")
     caused = effect_table(DataSetRuns("demo", records))
-    for table in (*(() if caused is None else (caused,)), *run_tables("demo", records, ("exact",), allow_partial=True)):
-        tell(table.plain(wide=options.wide))
-    for name, matrix in transfer_matrices(records, "adv").items():
-        tell(transfer_table(name, matrix).plain(wide=options.wide))
+    tables = [*(() if caused is None else (caused,)), *run_tables("demo", records, ("exact",), allow_partial=True)]
+    tables += [transfer_table(name, matrix) for name, matrix in transfer_matrices(records, "adv").items()]
+    print_tables(tables, wide=options.wide, verbose=options.verbose)
     leaderboard = options.out / "leaderboard"
     tell(f"site: {leaderboard / 'site' / 'index.html'}   tables: {leaderboard / 'README.md'}")
     again = f" --data demo{repeat_out_option(options.out)}"
+    films, driven = Path("films"), api.workspace(options.out).drive_root() / "demo"
+    film = (f"film --limit 1 --model uniad --model idm --to {films}{again}", "film of a scene")
+    drive = (f"drive --limit 1 --model uniad --sensor schematic{again}", "closed loop: the plan is driven")
     print_next_steps(
-        f"scenes: {options.out / 'data' / 'demo' / 'adv'}",
-        (f"film --limit 1 --model uniad --model idm --to films{again}", "film of a scene"),
-        (f"eval --split adv --model my_package.planner:MyPlanner{again}", "your planner (docs/planners.md)"),
+        f"scenes: {options.out / 'data' / 'demo' / 'adv'}\n"
+        f"your own planner: challenger-bench eval --model my_planner:MyPlanner{again} (docs/planners.md has the class)",
+        None if films.exists() else film,
+        None if driven.exists() else drive,
         json_output=options.json_output,
     )

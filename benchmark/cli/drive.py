@@ -11,15 +11,20 @@ from benchmark import api
 from benchmark.cli import options as shared
 from benchmark.cli.options import make_executor, parse_name_list, parse_shard
 from benchmark.cli.output import (
+    Step,
+    find_records_of,
     print_json,
     print_next_steps,
     print_plan,
     print_shard_progress,
+    print_tables,
     repeat_data_options,
     warn_of_caveats,
 )
 from benchmark.cli.settings import Option, command, take_options
+from benchmark.cli.splits import choose_splits
 from benchmark.errors import InputError
+from benchmark.report.words import format_options
 
 if TYPE_CHECKING:
     from adapters.registry import NamedPlanner
@@ -57,9 +62,8 @@ class DriveOptions:
     json_output: shared.Json = False
     dry_run: shared.DryRun = False
     wide: shared.Wide = False
-    sensor: Annotated[
-        str, Option("What cameras see: none, schematic or http://HOST:PORT; blind planners have none.", "Planner")
-    ] = "none"
+    verbose: shared.Verbose = False
+    sensor: Annotated[str, Option("Cameras: none, schematic or http://HOST:PORT.", "Planner")] = "none"
     checkpoint: shared.Checkpoint = None
     device: shared.NetworkDevices = None
     baselines: Annotated[
@@ -77,7 +81,7 @@ class DriveOptions:
         Literal["plan", "motion", "nothing"],
         Option("adversary: expects that the ego drives its plan, keeps its motion, or stays.", "Search"),
     ] = "motion"
-    latency: Annotated[int, Option("Milliseconds after which a plan takes effect.", "Search", min=0)] = 0
+    latency: Annotated[int, Option("Delay before a plan takes effect, ms.", "Search", min=0)] = 0
     until: Annotated[
         Literal["contact", "fault"],
         Option("What ends a drive: any contact, or one that is the ego's fault (others who touch it go).", "Search"),
@@ -128,7 +132,7 @@ class DriveOptions:
         return read_drive_options(members)
 
 
-@command(DriveOptions)
+@command(DriveOptions, panel="Run")
 def drive_command(options: DriveOptions) -> None:
     """Drive planners in closed loop: the plan is driven and the world answers; the same command resumes."""
     from benchmark.machine.path_checks import require_place
@@ -152,8 +156,11 @@ def drive_command(options: DriveOptions) -> None:
         require_one_device(options.device, "a Ray cluster assigns GPUs to its tasks")
     place = make_executor(options.executor, options.address, count_workers(options.workers, options.device))
     data, scenes = api.DataSource.of(options), parse_name_list(options.scenes)
-    ahead = data.require_split(options.split, scenes, options.limit)
+    taken = choose_splits(data, [options.split], scenes, options.limit)
+    ((split, ahead),) = taken.ahead.items()
+    options = replace(options, split=split)
     require_place(options.out, "--out")
+    taken.say()
     if options.dry_run and ahead.builds:
         next_step = f"drive {', '.join(names)} through {ahead.counted()} of {options.split}"
         print_plan(ahead.plan(next_step), json_output=options.json_output)
@@ -176,7 +183,6 @@ def drive_command(options: DriveOptions) -> None:
         ]
         print_plan(estimates, json_output=options.json_output)
         return
-    again = repeat_data_options(options)
     if shard is not None:
         from benchmark.runs.driving import drive_shard
 
@@ -189,19 +195,31 @@ def drive_command(options: DriveOptions) -> None:
                 dataset, options.split, group, space.drive_root(), _settings_of(group[0], how), shard
             )
         ]
-        step = (f"drive{again}", "with the same options and no --shard, once all shards are done")
-        print_shard_progress(shard, done, "driven", step, json_output=options.json_output)
+        print_shard_progress(shard, done, "driven", json_output=options.json_output)
         return
     records = _drive_planners(dataset, options.split, factories, space.drive_root(), how)
     warn_of_caveats(record.facts for record in records)
-    sound = _show(records, wide=options.wide, json_output=options.json_output)
+    sound = _show(records, options)
     print_next_steps(
         f"records: {', '.join(str(record.directory) for record in records)}",
-        (f"eval --split {options.split}{again}", "evaluate the same planners in open loop"),
+        _suggest_evaluation(options, dict(zip(names, records, strict=True))),
         json_output=options.json_output,
     )
     if not sound:
         raise typer.Exit(1)
+
+
+def _suggest_evaluation(options: DriveOptions, driven: "Mapping[str, DriveRecord]") -> Step:
+    """The step to open loop, of planners that drove and have no record there."""
+    missing = [
+        name
+        for name, record in driven.items()
+        if record.complete
+        and not find_records_of(options.out, record.facts.data.name, options.split, record.facts.planner.name)
+    ]
+    given = format_options(split=options.split, model=missing, checkpoint=options.checkpoint)
+    step = (f"eval{given}{repeat_data_options(options)}", "evaluate the same planners in open loop")
+    return step if missing else None
 
 
 def _settings(options: DriveOptions, scenes: tuple[str, ...] | None, place: "Executor") -> "DriveSettings":
@@ -284,11 +302,12 @@ def _settings_of(planner: "NamedPlanner", how: "DriveSettings") -> "DriveSetting
     return replace(how, sensor=NoSensor(), together=TOGETHER) if _is_blind(planner) else how
 
 
-def _show(records: "Sequence[DriveRecord]", *, wide: bool, json_output: bool) -> bool:
+def _show(records: "Sequence[DriveRecord]", options: DriveOptions) -> bool:
     """Print the tables; whether no planner failed."""
+    from benchmark.records.drives import ROWS_FILE
     from leaderboard.tables.drives import describe_failures, drive_tables
 
-    if json_output:
+    if options.json_output:
         print_json(
             [
                 {
@@ -303,9 +322,9 @@ def _show(records: "Sequence[DriveRecord]", *, wide: bool, json_output: bool) ->
             ]
         )
     else:
-        for table in drive_tables(records):
-            typer.echo(table.plain(wide=wide))
+        print_tables(drive_tables(records), wide=options.wide, verbose=options.verbose)
     partial = [record for record in records if not record.complete]
     for record in partial:
-        typer.echo(f"{describe_failures(record)}; no score includes them", err=True)
+        rows = record.directory / ROWS_FILE
+        typer.echo(f"{describe_failures(record)}; no score includes them; {rows} has each failure", err=True)
     return not partial

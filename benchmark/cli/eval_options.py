@@ -24,7 +24,7 @@ class EvalOptions:
     model: shared.Models = ()
     split: Annotated[
         tuple[str, ...], Option("val, val-r, adv, or a split of the data set's own; may be repeated.", "Input")
-    ] = ("val",)
+    ] = ("val", "adv")
     data: shared.Data = "mini"
     scenes: shared.Scenes = None
     limit: shared.Limit = None
@@ -45,6 +45,7 @@ class EvalOptions:
     ] = None
     by: shared.By = None
     wide: shared.Wide = False
+    verbose: shared.Verbose = False
     allow_partial: Annotated[
         bool, Option("Print rates even where the planner failed on samples; --plans may lack rows.", "Output")
     ] = False

@@ -1,7 +1,8 @@
 """Command that judges planners, ``eval``, and plans that others made, as it reads and writes them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -11,17 +12,20 @@ from benchmark import api
 from benchmark.cli.eval_options import EvalOptions
 from benchmark.cli.options import parse_name_list, parse_shard
 from benchmark.cli.output import (
+    Step,
     print_json,
     print_next_steps,
     print_plan,
     print_shard_progress,
+    print_tables,
     repeat_data_options,
-    repeat_out_option,
+    suggest_leaderboard,
     warn_of_caveats,
 )
-from benchmark.cli.settings import command, take_options
+from benchmark.cli.settings import command, is_given, take_options
+from benchmark.cli.splits import choose_splits, describe_default
 from benchmark.errors import InputError
-from benchmark.report.words import pluralise
+from benchmark.report.words import format_options, pluralise
 
 if TYPE_CHECKING:
     from adapters.registry import NamedPlanner
@@ -35,6 +39,8 @@ if TYPE_CHECKING:
 
 _LONGEST_NAME: Final = 100
 """Characters of a planner's name in tables."""
+_OF_OTHER_SAMPLES: Final = ("token", "count", "order")
+"""Why a result file is refused that may be of another split."""
 
 
 def open_result_files(options: "EvalOptions") -> "list[RecognisedFile]":
@@ -109,7 +115,7 @@ def write_dumps(
     return [f"result files: {', '.join(map(str, written))}"]
 
 
-@command(EvalOptions)
+@command(EvalOptions, panel="Run")
 def eval_command(options: EvalOptions) -> None:
     """Run planners on splits, write run records, and print the tables."""
     from benchmark.machine.path_checks import require_place
@@ -126,27 +132,31 @@ def eval_command(options: EvalOptions) -> None:
     planners.require_frame(of_file=options.plans is not None or bool(options.results))
     planners.require_servers()
     opened = open_result_files(options)
-    # Unchanged recordings first: records of other splits name the record that they are compared with.
-    splits = tuple(sorted(dict.fromkeys(options.split), key=is_adversarial))
-    _require_one_split(splits, options)
+    _require_one_split(options)
     data = api.DataSource.of(options)
-    every_ahead = {split: data.require_split(split, scenes, options.limit) for split in splits}
+    # Unchanged recordings first: records of other splits name the record that they are compared with.
+    taken = choose_splits(data, sorted(dict.fromkeys(options.split), key=is_adversarial), scenes, options.limit)
+    splits = tuple(taken.ahead)
     elsewhere = None
     if options.unchanged is not None:
         unchanged = api.DataSource(options.unchanged, out=options.out)
         unchanged.require()
         elsewhere = unchanged.name
     require_place(options.out, "--out")
-    if options.dry_run and any(ahead.builds for ahead in every_ahead.values()):
-        files = [] if options.plans is None else [str(options.plans)]
-        runs = [*planners.runnable_names, *files, *map(str, options.results or ())]
+    files = [str(path) for path in (options.plans, *(options.results or ())) if path is not None]
+    if options.dry_run and any(ahead.builds for ahead in taken.ahead.values()):
+        taken.say()
+        runs = ", ".join([*planners.runnable_names, *files])
+        which = f" if {files[0]} has its samples" if files and len(splits) > 1 else ""
         planned = [
             line
-            for split, ahead in every_ahead.items()
-            for line in ahead.plan(f"run {', '.join(runs)} on {ahead.counted()} of {split}")
+            for split, ahead in taken.ahead.items()
+            for line in ahead.plan(f"run {runs} on {ahead.counted()} of {split}{which}")
         ]
         print_plan(list(dict.fromkeys(planned)), json_output=options.json_output)
         return
+    if not files or len(splits) == 1:
+        taken.say()
     # Planners first: importing a class of another package may fail, and data may take minutes to build.
     factories: list[PlannerFactory] = [_rename_planner(planner, options.name) for planner in planners.load()]
     from benchmark.evaluation import EvalSettings, evaluate_together
@@ -166,54 +176,88 @@ def eval_command(options: EvalOptions) -> None:
         unchanged=elsewhere,
     )
     source = data.open()
-    dataset = data.open_split(splits[0], source)
-    if options.plans is not None or opened:
-        chosen = settings.chosen(dataset, splits[0])
-        factories += load_file_planners(options, opened, dataset, splits[0], chosen, run_root)
+    if files:
+        split, of_files = _load_file_planners_of(
+            splits, options, opened, partial(data.open_split, source=source), settings
+        )
+        if len(splits) > 1:
+            api.notify(describe_default((split,), splits, f"{files[0]} has the samples of {split}"))
+        splits, factories = (split,), [*factories, *of_files]
+    datasets = {split: data.open_split(split, source) for split in splits}
     if options.dry_run:
         names = ", ".join(factory.facts.name for factory in factories)
-        chosen_of = {split: settings.chosen(data.open_split(split, source), split) for split in splits}
-        where = [f"{pluralise(len(chosen), 'scene')} of {split}" for split, chosen in chosen_of.items()]
-        print_plan([f"would run {names} on {split}" for split in where], json_output=options.json_output)
+        counted = {split: len(settings.chosen(dataset, split)) for split, dataset in datasets.items()}
+        planned = [f"would run {names} on {pluralise(count, 'scene')} of {split}" for split, count in counted.items()]
+        print_plan(planned, json_output=options.json_output)
         return
-    judged = [(split, _with_native_protocol(settings, split)) for split in factories]
-    again = repeat_data_options(options)
+    judged = [(factory, _with_native_protocol(settings, factory)) for factory in factories]
     if shard is not None:
         from benchmark.evaluation import plan_shard
 
-        step = (f"eval{again}", "with the same options and no --shard, once all shards are done")
-        done = plan_shard(dataset, splits[0], judged, run_root, shard)
-        print_shard_progress(shard, done, "planned", step, json_output=options.json_output)
+        done = [
+            progress
+            for split, dataset in datasets.items()
+            for progress in plan_shard(dataset, split, judged, run_root, shard)
+        ]
+        print_shard_progress(shard, done, "planned", json_output=options.json_output)
         return
     records: list[RunRecord] = []
-    for place, split in enumerate(splits):
-        split_data = dataset if place == 0 else data.open_split(split, source)
+    dumped: list[str] = []
+    for split, dataset in datasets.items():
         of_split = with_reproductions(
-            evaluate_together(split_data, split, judged, run_root), find_reproductions([run_root])
+            evaluate_together(dataset, split, judged, run_root), find_reproductions([run_root])
         )
         if options.explain_protocols:
-            _explain(source.name, split_data, of_split, options)
+            _explain(source.name, dataset, of_split, options)
+        dumped += write_dumps(of_split, dataset, split, options.dump_results, space)
         records += of_split
     warn_of_caveats(record.run for record in records)
-    dumped = write_dumps(records, dataset, splits[0], options.dump_results, space)
-    sound = _show_runs(
-        source.name,
-        records,
-        protocols,
-        options.by or (),
-        run_root,
-        allow_partial=options.allow_partial,
-        wide=options.wide,
-        json_output=options.json_output,
-    )
+    sound = _show_runs(source.name, records, protocols, run_root, options)
+    any_planned = any(record.summary.failed < record.summary.samples for record in records)
     print_next_steps(
         "; ".join([f"records: {', '.join(str(record.directory) for record in records)}", *dumped]),
-        (f"sheets --split {splits[-1]}{again}", "draw the scenes for films and the site"),
-        (f"leaderboard{repeat_out_option(options.out)}", "write tables, figures and a site of all records"),
+        *(_list_next_steps(options, records) if any_planned else ()),
         json_output=options.json_output,
     )
     if not sound:
         raise typer.Exit(1)
+
+
+def _load_file_planners_of(
+    splits: Sequence[str],
+    options: EvalOptions,
+    opened: "Sequence[RecognisedFile]",
+    open_split: "Callable[[str], DataSet]",
+    settings: "EvalSettings",
+) -> "tuple[str, list[PlannerFactory]]":
+    """The split that plan and result files are for, the first whose samples they have, and their planners."""
+    from adapters.plan_file import OtherSamplesError
+    from benchmark.untrusted.files import RefusedFileError
+
+    run_root = api.workspace(options.out).run_root()
+    refused: list[InputError] = []
+    for split in splits:
+        dataset = open_split(split)
+        try:
+            chosen = settings.chosen(dataset, split)
+            return split, load_file_planners(options, opened, dataset, split, chosen, run_root)
+        except OtherSamplesError as error:
+            refused.append(error)
+        except RefusedFileError as error:
+            if error.category not in _OF_OTHER_SAMPLES:
+                raise
+            refused.append(error)
+    raise refused[0]
+
+
+def _list_next_steps(options: EvalOptions, records: "Sequence[RunRecord]") -> Iterator[Step]:
+    """Commands that make something of records, but for what there is already."""
+    from benchmark.records.scene_pages import SPLIT_FILE, split_folder
+
+    run, again = records[-1].run, repeat_data_options(options)
+    if not (split_folder(api.workspace(options.out).sheet_root(), run.data.name, run.split) / SPLIT_FILE).is_file():
+        yield f"sheets{format_options(split=run.split)}{again}", "draw the scenes for films and the site"
+    yield suggest_leaderboard(options.out, records=[record.content_id for record in records])
 
 
 def _require_planner(options: EvalOptions) -> None:
@@ -265,12 +309,12 @@ def _processes(options: EvalOptions, planners: "PlannerSource") -> int:
     return 1
 
 
-def _require_one_split(splits: tuple[str, ...], options: EvalOptions) -> None:
-    """Refuse several splits with what belongs to one."""
-    given = next((name for name in ("plans", "results", "dump_results", "shard") if getattr(options, name)), None)
-    if len(splits) > 1 and given is not None:
-        option = given.replace("_", "-")
-        raise InputError(f"--{option} applies to one split, and --split names {', '.join(splits)}; give one at a time")
+def _require_one_split(options: EvalOptions) -> None:
+    """Refuse files, whose plans are of one split, with several."""
+    given = next((name for name in ("plans", "results") if getattr(options, name)), None)
+    splits = tuple(dict.fromkeys(options.split))
+    if is_given("split") and len(splits) > 1 and given is not None:
+        raise InputError(f"--{given} applies to one split, and --split names {', '.join(splits)}; give one at a time")
 
 
 def _with_native_protocol(settings: "EvalSettings", factory: "PlannerFactory") -> "EvalSettings":
@@ -305,7 +349,7 @@ def _explain(data_name: str, dataset: "DataSet", records: "Sequence[RunRecord]",
     folder = api.workspace(options.out).out / "explained" / data_name / split
     pictures = import_from_extension("explanation", "protocols")(records, dataset, folder)
     table = disagreement_table(data_name, split, records)
-    typer.echo(table.plain(wide=options.wide), err=options.json_output)
+    print_tables([table], wide=options.wide, verbose=options.verbose, err=options.json_output)
     for picture in pictures:
         typer.echo(f"{picture.path}: {picture.sentence}", err=options.json_output)
 
@@ -314,27 +358,22 @@ def _show_runs(
     data_name: str,
     records: "Sequence[RunRecord]",
     protocols: tuple[str, ...] | None,
-    by: "Sequence[str]",
     run_root: Path,
-    *,
-    allow_partial: bool,
-    wide: bool,
-    json_output: bool,
+    options: EvalOptions,
 ) -> bool:
     """Print the tables of runs; whether all is well: a run that failed on samples is not unless that is allowed."""
     from benchmark.metrics.attacks import attack_rates_to_json
     from benchmark.metrics.effect import effect_to_json
     from benchmark.metrics.slices import select_kinds
     from benchmark.metrics.unchanged_records import find_unchanged_candidates, find_unchanged_record
-    from benchmark.runs.units import FAILURES_FILE, find_first_failure
     from leaderboard.tables.collision import run_tables
     from leaderboard.tables.slices import run_slices
 
-    partial = [record for record in records if not record.complete]
+    allow_partial, by = options.allow_partial, options.by or ()
     # The comparison table is shown unless tables are requested by name.
-    against = find_unchanged_candidates(run_root, records) if json_output or protocols is None else []
+    against = find_unchanged_candidates(run_root, records) if options.json_output or protocols is None else []
     sliced = run_slices(data_name, records, select_kinds(by), protocols, allow_partial=allow_partial)
-    if json_output:
+    if options.json_output:
         rows = [
             {
                 "directory": str(r.directory),
@@ -348,13 +387,22 @@ def _show_runs(
         print_json({"runs": rows, "slices": [table.as_json() for table in sliced]} if by else rows)
     else:
         tables = run_tables(data_name, records, protocols, allow_partial=allow_partial, against=against)
-        for table in (*tables, *sliced):
-            typer.echo(table.plain(wide=wide))
-    for record in partial:
-        typer.echo(
-            f"{record.planner} failed on {record.summary.failed} of {pluralise(record.summary.samples, 'sample')} "
-            f"(the first: {find_first_failure(record.rows)}; all tracebacks: {record.directory / FAILURES_FILE}); "
-            + ("the rates exclude them" if allow_partial else "--allow-partial prints the rates of the other samples"),
-            err=True,
-        )
-    return allow_partial or not partial
+        print_tables([*tables, *sliced], wide=options.wide, verbose=options.verbose)
+    failed = [record for record in records if not record.complete]
+    for record in failed:
+        typer.echo(_describe_failures(record, allow_partial=allow_partial), err=True)
+    return allow_partial or not failed
+
+
+def _describe_failures(record: "RunRecord", *, allow_partial: bool) -> str:
+    """Sentence on the samples that a planner failed on, and where their tracebacks are."""
+    from benchmark.runs.units import FAILURES_FILE, find_first_failure
+
+    failed, samples = record.summary.failed, pluralise(record.summary.samples, "sample")
+    if failed == record.summary.samples:
+        which, rates = f"all {samples} of {record.run.split}", "there are no rates; the file begins with the first one"
+    else:
+        which = f"{failed} of {samples}"
+        rates = "the rates exclude them" if allow_partial else "--allow-partial prints the rates of the other samples"
+    first, tracebacks = find_first_failure(record.rows), record.directory / FAILURES_FILE
+    return f"{record.planner} failed on {which} (the first: {first}; all tracebacks: {tracebacks}); {rates}"

@@ -37,7 +37,7 @@ class FailuresOptions:
     json_output: shared.Json = False
 
 
-@command(FailuresOptions)
+@command(FailuresOptions, panel="Results")
 def failures_command(options: FailuresOptions) -> None:
     """List the worst scenes and samples of a planner (exact, 3 s) from its record: what it hits, when, at whose fault.
 

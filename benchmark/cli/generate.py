@@ -19,8 +19,9 @@ from benchmark.cli.built_splits import (
 )
 from benchmark.cli.generate_options import BUILT_IN_RENDERERS, GenerateOptions
 from benchmark.cli.options import make_executor, parse_image_size, parse_name_list
-from benchmark.cli.output import print_json, print_plan, repeat_data_options
+from benchmark.cli.output import print_json, print_plan
 from benchmark.cli.settings import command, take_options
+from benchmark.cli.splits import say_default_split
 from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from generation.render.contract import Renderer, RendererSource
 
 
-@command(GenerateOptions)
+@command(GenerateOptions, panel="Run")
 def generate_command(options: GenerateOptions) -> None:
     """Build a split, adv or val-r, from recorded scenes; the same command resumes."""
     from benchmark.machine.path_checks import require_place
@@ -74,6 +75,8 @@ def generate_command(options: GenerateOptions) -> None:
     else:
         ahead = replace(data.require(), scenes=list_frozen_scenes(wanted, named, options.limit))
     require_place(options.out, "--out")
+    if options.from_file is None and options.seeds is None:
+        say_default_split(options.split)
     if options.renderer == "schematic" and not options.dry_run:
         # The number of scenes that a search finds is not known in advance.
         least = 1 if options.split == "adv" and frozen is None else len(ahead.scenes)
@@ -140,19 +143,18 @@ def generate_command(options: GenerateOptions) -> None:
                 freeze=split_to_build.freeze,
             )
         )
-    again = repeat_data_options(options)
     if shard is not None and not options.dry_run:
-        build_shards(source, wanted, settings_of_splits, shard, again, json_output=options.json_output)
+        build_shards(source, wanted, settings_of_splits, shard, json_output=options.json_output)
         return
     built = []
     for split_to_build, of_split in zip(wanted, settings_of_splits, strict=True):
-        built.append(build_split_of_command(source, split_to_build, of_split, unlike, profile=options.profile))
+        built.append(build_split_of_command(source, split_to_build, of_split, unlike, options))
         if not options.json_output:
             typer.echo(built[-1].text if options.seeds is None else f"{split_to_build.split}: {built[-1].text}")
     if options.json_output:
         print_json(built[0].said if options.seeds is None else [outcome.said for outcome in built])
     if not options.dry_run:
-        print_built_splits(wanted, settings_of_splits, again, json_output=options.json_output)
+        print_built_splits(wanted, settings_of_splits, source.name, options)
 
 
 def _parse_manoeuvres(options: GenerateOptions) -> "tuple[Manoeuvre, ...]":

@@ -30,7 +30,7 @@ class GenerateOptions:
     from_file: Annotated[
         str | None,
         Option(
-            "Rebuild a frozen split, a file or mini-adv-3, or build edited ScenarioNet files; no search.",
+            "A frozen split (file or mini-adv-3) or edited ScenarioNet files; no search.",
             "Input",
             names="--from",
         ),
@@ -39,9 +39,7 @@ class GenerateOptions:
     scenes: shared.Scenes = None
     limit: shared.Limit = None
     out: shared.Out = api.OUT
-    freeze: Annotated[
-        Path | None, Option("Also write the result as a frozen split, a few kB a scene, to this file.", "Output")
-    ] = None
+    freeze: Annotated[Path | None, Option("Also write the result as a frozen split to this file.", "Output")] = None
     renderer: Annotated[
         Literal["schematic", "magicdrive", "none"],
         Option("Who draws the images.", "Output", offers=("renderer", BUILT_IN_RENDERERS)),
@@ -49,10 +47,11 @@ class GenerateOptions:
     frames: shared.Frames = "all"
     json_output: shared.Json = False
     dry_run: shared.DryRun = False
+    verbose: shared.Verbose = False
     adversaries: Annotated[int, Option("Adversaries in each scene.", "Search", min=1)] = 1
     manoeuvres: Annotated[
         tuple[str, ...] | None,
-        Option("Steer the search to this kind, e.g. cut-in-left; may be repeated.", "Search", names="--manoeuvre"),
+        Option("Steer the search to this kind, e.g. cut-in-left; repeatable.", "Search", names="--manoeuvre"),
     ] = None
     preset: shared.Preset = "default"
     changes: shared.Set = None
@@ -62,7 +61,7 @@ class GenerateOptions:
     surrogate: Annotated[str | None, Option("Keep only scenes in which this planner collides.", "Search")] = None
     keep_unsolvable: Annotated[
         bool,
-        Option("Keep scenes that nobody could have avoided: they test luck, not driving (docs/severity.md).", "Search"),
+        Option("Keep scenes that nobody could have avoided (docs/severity.md).", "Search"),
     ] = False
     device: shared.Devices = "cpu"
     workers: shared.Workers = 0

@@ -14,7 +14,7 @@ class ModelsOptions:
     json_output: shared.Json = False
 
 
-@command(ModelsOptions)
+@command(ModelsOptions, panel="Run")
 def models_command(options: ModelsOptions) -> None:
     """List every planner with what it sees and needs: weights, GPU, extra packages, and how to get what is missing."""
     from adapters.planner_listing import known_planners, planners_text

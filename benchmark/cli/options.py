@@ -14,14 +14,12 @@ if TYPE_CHECKING:
     from benchmark.runs.units import Shard as ShardOfScenes
 
 
-Models = Annotated[
-    tuple[str, ...], Option("Planner name, package.module:Class or http://HOST:PORT; may be repeated.", "Planner")
-]
+Models = Annotated[tuple[str, ...], Option("Planner, package.module:Class or http://HOST:PORT; repeatable.", "Planner")]
 Checkpoint = Annotated[Path | None, Option("Weights of the model.", "Planner")]
 NetworkDevices = Annotated[
     str | None,
     Option(
-        "Where a network runs: cpu, cuda, cuda:1, or cuda:0,cuda:1 for a process on each; else the first GPU.",
+        "Device, or several: cpu, cuda:1, cuda:0,cuda:1; by default the first GPU.",
         "Planner",
         separated=True,
     ),
@@ -31,9 +29,7 @@ NetworkDevice = Annotated[
 ]
 Precision = Annotated[str | None, Option("Of a network: float32 or bfloat16.", "Planner")]
 Root = Annotated[str, Option("mini, demo or the root of a data set, generated ones included.", "Input", names="")]
-Data = Annotated[
-    str, Option("mini (embedded), demo (what demo made) or the root of a nuScenes-format data set.", "Input")
-]
+Data = Annotated[str, Option("mini, demo or the root of a nuScenes-format data set.", "Input")]
 Tables = Annotated[str | None, Option("Version folder below the root, if there are several.", "Input")]
 Categories = Annotated[
     str | None,
@@ -42,7 +38,7 @@ Categories = Annotated[
         "Input",
     ),
 ]
-Out = Annotated[Path, Option("Folder for everything that commands make.", "Output")]
+Out = Annotated[Path, Option("Folder for all output.", "Output")]
 Split = Annotated[str, Option("val, val-r, adv, or a split of the data set's own.", "Input")]
 Scenes = Annotated[str | None, Option("Only these scenes, separated by commas.", "Input", separated=True)]
 Normalisation = Annotated[
@@ -56,22 +52,21 @@ Shard = Annotated[
     str | None, Option("Do every n-th scene alone: 3/40 is the third of 40.", "Execution", metavar="<k/n>")
 ]
 Limit = Annotated[int | None, Option("Only the first so many scenes.", "Input", min=1)]
-Seed = Annotated[
-    int, Option("Seed; on this kind of processor, the same bytes each time.", "Execution", min=0, max=LARGEST_SEED)
-]
+Seed = Annotated[int, Option("Same seed, same bytes, on one kind of processor.", "Execution", min=0, max=LARGEST_SEED)]
 Workers = Annotated[int, Option("Processes; 0 takes all processors.", "Execution")]
 Json = Annotated[bool, Option("Machine-readable output on stdout, nothing else there.", "Output", names="--json")]
-Wide = Annotated[bool, Option("Print every column of the tables, however wide the terminal is.", "Output")]
+Wide = Annotated[bool, Option("Print every column of the tables.", "Output")]
+Verbose = Annotated[
+    bool, Option("Print all notes: what columns mean, steps that protocols mask.", "Output", short="-v")
+]
 By = Annotated[
     tuple[Literal["place", "light", "manoeuvre", "speed", "command"], ...] | None,
-    Option("Also the same numbers by place, light, manoeuvre, speed or command; may be repeated.", "Output"),
+    Option("The same numbers also by one of these; repeatable.", "Output"),
 ]
 DryRun = Annotated[bool, Option("Say what would be done, and do nothing.", "Output")]
 AsPublished = Annotated[
     tuple[Literal["memory", "can-once", "can-after", "all"], ...] | None,
-    Option(
-        "What networks do as in the published runs of their repositories (docs/models.md); may be repeated.", "Planner"
-    ),
+    Option("What networks do as in the published runs of their repositories (docs/models.md); repeatable.", "Planner"),
 ]
 Preset = Annotated[
     Literal["default", "near", "paper", "reference"],
@@ -79,7 +74,7 @@ Preset = Annotated[
 ]
 Set = Annotated[
     tuple[str, ...] | None,
-    Option("Change a hyper-parameter, NAME=VALUE; may be repeated (docs/generation.md).", "Search", names="--set"),
+    Option("Change a hyper-parameter, NAME=VALUE; repeatable (docs/generation.md).", "Search", names="--set"),
 ]
 Denoiser = Annotated[Path | None, Option("Weights of another trajectory model, such as ig360_adv.ckpt.", "Search")]
 Device = Annotated[str, Option("Where the trajectory model runs: cpu, cuda, cuda:1.", "Planner")]

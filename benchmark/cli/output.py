@@ -1,17 +1,20 @@
 """Output of commands: JSON, plans of ``--dry-run``, caveats, paths of results and next commands."""
 
+import glob
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import typer
 
 from benchmark import api
-from benchmark.report.words import pluralise
+from benchmark.cli.settings import repeat_command
+from benchmark.report.words import format_options, pluralise
 
 if TYPE_CHECKING:
     from benchmark.records.run_schema import RecordFacts
+    from benchmark.report.table import Table
     from benchmark.runs.units import Shard, ShardProgress
 
 
@@ -44,36 +47,80 @@ def print_result(value: Any, text: str, *, json_output: bool) -> None:
         typer.echo(text.removesuffix("\n"))
 
 
+def print_tables(tables: "Sequence[Table]", *, wide: bool, verbose: bool, err: bool = False) -> None:
+    """Print tables, and below them each note that their rows need once; all notes if ``verbose``."""
+    if tables:
+        from benchmark.report.table import format_tables
+
+        typer.echo(format_tables(tables, wide=wide, verbose=verbose), err=err)
+
+
 def print_plan(sentences: Sequence[str], *, json_output: bool) -> None:
     """Print the text of ``--dry-run``."""
     print_result({"would": list(sentences)}, "\n".join(sentences), json_output=json_output)
 
 
-def print_next_steps(where: str, *steps: tuple[str, str], json_output: bool) -> None:
-    """Print on stderr where results are, and each command that comes next with its purpose; nothing with ``--json``."""
+Step = tuple[str, str] | None
+"""A command that comes next, as it is typed after ``challenger-bench``, and its purpose; ``None`` if it is done."""
+
+
+def print_next_steps(where: str, *steps: Step, json_output: bool) -> None:
+    """Print on stderr where results are, and the commands that come next; nothing with ``--json``."""
     if json_output:
         return
     typer.echo(where, err=True)
-    for number, (command, purpose) in enumerate(steps):
+    for number, (command, purpose) in enumerate(step for step in steps if step is not None):
         typer.echo(f"{'next:' if number == 0 else '     '} challenger-bench {command}   # {purpose}", err=True)
 
 
 def repeat_data_options(options: DataLocation) -> str:
     """Options that name the same data and output folder again, with a space before; nothing where they are default."""
-    categories = getattr(options, "categories", None)
-    given = "" if options.data == "mini" else f" --data {options.data}"
-    given += "" if options.tables is None else f" --tables {options.tables}"
-    given += "" if categories is None else f" --categories {categories}"
-    return given + repeat_out_option(options.out)
+    data, categories = None if options.data == "mini" else options.data, getattr(options, "categories", None)
+    return format_options(data=data, tables=options.tables, categories=categories) + repeat_out_option(options.out)
 
 
 def repeat_out_option(out: Path) -> str:
     """The option that names the same output folder again, with a space before; nothing where it is the default."""
-    return "" if out == api.OUT else f" --out {out}"
+    return format_options(out=None if out == api.OUT else out)
+
+
+def suggest_leaderboard(out: Path, *made: Path, records: Collection[str] = ()) -> Step:
+    """The step to a leaderboard; ``None`` where the one that is there has the ``records``, by content id.
+
+    Without any it must be newer than the files that were ``made`` now.
+    """
+    folder, missing = out / "leaderboard", set(records)
+    for path in folder.rglob("*.json") if records else ():
+        if missing and "site" not in path.relative_to(folder).parts:
+            text = path.read_text()
+            missing = {content_id for content_id in missing if content_id not in text}
+    current = not missing if records else is_newer(folder / "README.md", made)
+    step = (f"leaderboard{repeat_out_option(out)}", "write tables, figures and a site of all records")
+    return None if current else step
+
+
+def find_records_of(out: Path, data_name: str, split: str, planner: str) -> list[Path]:
+    """Records of a planner's runs on a split, with any checkpoint and seed."""
+    from benchmark.machine.storage import sanitise_file_name
+    from benchmark.records.store import RUN_FILE
+
+    folder = api.workspace(out).run_root() / sanitise_file_name(data_name) / sanitise_file_name(split)
+    name = glob.escape(sanitise_file_name(planner))
+    return [file for pattern in (name, f"{name}-{'[0-9a-f]' * 8}") for file in folder.glob(f"{pattern}/{RUN_FILE}")]
+
+
+def is_newer(path: Path, than: Iterable[Path]) -> bool:
+    """Whether a file is there and was written after others."""
+    return path.exists() and all(path.stat().st_mtime >= other.stat().st_mtime for other in than if other.exists())
 
 
 def print_shard_progress(
-    shard: "Shard", found: "Sequence[ShardProgress]", did: str, step: tuple[str, str], *, json_output: bool
+    shard: "Shard",
+    found: "Sequence[ShardProgress]",
+    did: str,
+    purpose: str = "once all shards are done",
+    *,
+    json_output: bool,
 ) -> None:
     """Print what a shard ``did`` (``driven``, ``scored``, ``searched``, ``drawn``), the rest, and the next command."""
     if json_output:
@@ -88,6 +135,7 @@ def print_shard_progress(
             f"{progress.directory}: shard {shard}, {progress.done} of {pluralise(progress.scenes, 'scene')} {did}",
             err=json_output,
         )
+    step = (repeat_command(without="--shard"), purpose)
     print_next_steps(f"shard {shard} is {did}", step, json_output=json_output)
 
 

@@ -10,8 +10,9 @@ import typer
 
 from benchmark import api
 from benchmark.cli import options as shared
-from benchmark.cli.output import print_json
+from benchmark.cli.output import print_json, print_tables
 from benchmark.cli.settings import Option, command
+from benchmark.cli.splits import say_default_split
 from benchmark.errors import InputError
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ class RescoreOptions:
     json_output: shared.Json = False
 
 
-@command(RescoreOptions)
+@command(RescoreOptions, panel="Results")
 def rescore_command(options: RescoreOptions) -> None:
     """Judge stored plans anew, of run records under every protocol and of drives, without running a planner."""
     from benchmark.machine.path_checks import require_folder
@@ -92,10 +93,11 @@ class TransferOptions:
     ] = "transfer"
     pairs: Annotated[bool, Option("Also a row for every two planners.", "Output")] = False
     wide: shared.Wide = False
+    verbose: shared.Verbose = False
     json_output: shared.Json = False
 
 
-@command(TransferOptions)
+@command(TransferOptions, panel="Results")
 def transfer_command(options: TransferOptions) -> None:
     """Show who else fails the scenes that one planner fails: the surrogate-filtered matrix, from run records."""
     from benchmark.machine.path_checks import require_output_file
@@ -112,6 +114,7 @@ def transfer_command(options: TransferOptions) -> None:
     require_output_file(options.figure, "--figure", FORMATS)
     folders = options.records or [api.workspace(options.out).run_root()]
     known = find_records(*folders)
+    say_default_split(options.split)
     for record in known:
         if record.run.split == options.split and not record.covers_split:
             typer.echo(f"left out: {record.directory} covers only part of the split", err=True)
@@ -150,15 +153,17 @@ def transfer_command(options: TransferOptions) -> None:
             }
         )
         return
-    for name, matrix in matrices.items():
-        matrices_to_show = (
-            [matrix] if options.protocol != EXACT else [matrix, *_adversary_matrices(known, options.split, name)]
+    make = (transfer_table, lift_table, *([agreement_table] if options.pairs else []))
+    shown = [
+        (name, shown_matrix)
+        for name, matrix in matrices.items()
+        for shown_matrix in (
+            matrix,
+            *(_adversary_matrices(known, options.split, name) if options.protocol == EXACT else ()),
         )
-        for shown_matrix in matrices_to_show:
-            typer.echo(transfer_table(name, shown_matrix).plain(wide=options.wide))
-            typer.echo(lift_table(name, shown_matrix).plain(wide=options.wide))
-            if options.pairs:
-                typer.echo(agreement_table(name, shown_matrix).plain(wide=options.wide))
+    ]
+    tables = [table_of(name, matrix) for name, matrix in shown for table_of in make]
+    print_tables(tables, wide=options.wide, verbose=options.verbose)
 
 
 def _adversary_matrices(known: "Sequence[RunRecord]", split: str, data: str) -> "list[TransferMatrix]":

@@ -7,6 +7,7 @@ the command line, ``--set NAME=VALUE``, the file of ``--config`` and the default
 import dataclasses
 import enum
 import inspect
+import shlex
 import types
 import typing
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, MutableMapping
@@ -18,7 +19,7 @@ from typing import Annotated, Any, Final, Literal, TypeVar, cast
 
 import typer
 
-from benchmark.cli.help import SettingsCommand
+from benchmark.cli.help import ARGUMENTS, CommandPanel, SettingsCommand
 from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.extension import find_owner, import_from_extension, list_offers, warn
 
@@ -30,14 +31,16 @@ SETTINGS_PAGE: Final = "docs/settings.md"
 class Option:
     """Presentation of a field on the command line.
 
-    ``names`` is ``--format`` or ``--site/--no-site``; the field's name by default, empty for an argument. If
-    ``separated``, several values are one text with commas; a file may give a list. ``metavar`` stands for the value in
-    place of its type. Where it ``offers`` what extensions have of a kind, their names are choices beside the core's.
+    ``names`` is ``--format`` or ``--site/--no-site``; the field's name by default, empty for an argument. ``short`` is
+    another name, ``-v``. If ``separated``, several values are one text with commas; a file may give a list. ``metavar``
+    stands for the value in place of its type. Where it ``offers`` what extensions have of a kind, their names are
+    choices beside the core's.
     """
 
     help: str
     panel: Panel = "Advanced"
     names: str | None = None
+    short: str | None = None
     separated: bool = False
     min: float | None = None
     max: float | None = None
@@ -58,7 +61,8 @@ class Option:
             shared["metavar"] = next(
                 (names[candidate] for candidate in (kind, *typing.get_args(kind)) if candidate in names), None
             )
-        option = typer.Option(self.names, callback=callback, is_eager=callback is not None, **shared)
+        flags = (self.names,) if self.short is None else (self.names, self.short)
+        option = typer.Option(*flags, callback=callback, is_eager=callback is not None, **shared)
         return Annotated[kind, option]
 
 
@@ -285,6 +289,7 @@ def _convert_value(context: typer.Context, field: SettingField, value: Any, wher
         raise InputError(f"{where} sets {name} to {value!r}, which is not valid: {reason}") from error
 
 
+_words: ContextVar[tuple[str, ...]] = ContextVar("words", default=())
 _given: ContextVar[frozenset[str]] = ContextVar("given", default=frozenset())
 _of_extensions: ContextVar[Mapping[SettingField, Any]] = ContextVar("of_extensions")
 S = TypeVar("S")
@@ -312,11 +317,13 @@ def command_function(settings: type[S], run: Callable[[S], None]) -> Callable[..
         }
         token = _given.set(frozenset(name for name, source in given.items() if source != "DEFAULT"))
         others = _of_extensions.set({field: value for field, value in of_fields.items() if field.of})
+        words = _words.set((*context.command_path.split()[1:], *context.meta.get(ARGUMENTS, ())))
         try:
             run(settings(**{field.name: value for field, value in of_fields.items() if not field.of}))
         finally:
             _given.reset(token)
             _of_extensions.reset(others)
+            _words.reset(words)
 
     fields, changes = list_fields(settings), hasattr(settings, "reserved")
     parameters = [_parameter("context", typer.Context)]
@@ -336,12 +343,16 @@ def command_function(settings: type[S], run: Callable[[S], None]) -> Callable[..
 
 
 def command(
-    settings: type[S], app: typer.Typer | None = None, name: str = ""
+    settings: type[S], app: typer.Typer | None = None, name: str = "", *, panel: CommandPanel | None = None
 ) -> Callable[[Callable[[S], None]], Callable[..., None]]:
-    """Decorator that makes a command of a function, as `command_function`, in ``app`` or later (`add_command`)."""
+    """Decorator that makes a command of a function, as `command_function`, in ``app`` or later (`add_command`).
+
+    ``panel`` is where the list of commands has it.
+    """
 
     def made(run: Callable[[S], None]) -> Callable[..., None]:
         function = command_function(settings, run)
+        vars(function)["panel"] = panel
         if app is not None:
             add_command(app, name, function)
         return function
@@ -353,7 +364,8 @@ def add_command(app: typer.Typer, name: str, function: Callable[..., Any]) -> No
     """Add what `command` made, or a plain function with options of typer, to an application."""
     settings = getattr(function, "settings", None)
     epilog = None if settings is None else format_rare_settings(settings)
-    app.command(name, cls=SettingsCommand, epilog=epilog)(function)
+    panel = getattr(function, "panel", None)
+    app.command(name, cls=SettingsCommand, epilog=epilog, rich_help_panel=panel)(function)
 
 
 def list_rare_settings(settings: type) -> list[str]:
@@ -371,6 +383,18 @@ def format_rare_settings(settings: type) -> str | None:
 def is_given(name: str) -> bool:
     """Whether the user set an option of the running command, rather than leaving its default."""
     return name in _given.get()
+
+
+def repeat_command(without: str = "") -> str:
+    """The running command with the words that it was given, quoted for a shell, but for one option and its value."""
+    kept: list[str] = []
+    words = iter(_words.get())
+    for word in words:
+        if word == without:
+            next(words, None)
+        elif not word.startswith(f"{without}="):
+            kept.append(word)
+    return shlex.join(kept)
 
 
 def take_options(kind: str, used: Collection[str]) -> dict[str, dict[str, Any]]:

@@ -1,7 +1,7 @@
 """Commands that show results: ``sheets`` and ``leaderboard``."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -16,16 +16,19 @@ from benchmark.cli.output import (
     print_next_steps,
     print_plan,
     print_result,
+    print_tables,
     repeat_data_options,
-    repeat_out_option,
+    suggest_leaderboard,
 )
-from benchmark.cli.settings import Option, command
+from benchmark.cli.settings import Option, command, repeat_command
+from benchmark.cli.splits import choose_splits
 from benchmark.errors import InputError
-from benchmark.report.words import pluralise
+from benchmark.report.words import format_options, pluralise
 
 leaderboard_app = typer.Typer(
     cls=FullSummaryGroup,
     help="Write tables (Markdown, LaTeX, CSV, JSON), figures and site from run records; check submissions.",
+    rich_help_panel="Results",
 )
 
 
@@ -33,7 +36,7 @@ leaderboard_app = typer.Typer(
 class SheetsOptions:
     """Options of ``sheets``."""
 
-    split: shared.Split = "val"
+    split: shared.Split = "adv"
     data: shared.Data = "mini"
     out: shared.Out = api.OUT
     tables: shared.Tables = None
@@ -51,10 +54,11 @@ class SheetsOptions:
     dry_run: shared.DryRun = False
 
 
-@command(SheetsOptions)
+@command(SheetsOptions, panel="Results")
 def sheets_command(options: SheetsOptions) -> None:
     """Write scene sheets: what films, pictures and the site show of a split; the same command goes on."""
     from benchmark.machine.path_checks import require_place
+    from benchmark.records.scene_pages import SPLIT_FILE
     from benchmark.scene_pages.writing import SheetSettings, describe_plan
 
     settings = SheetSettings(
@@ -65,31 +69,32 @@ def sheets_command(options: SheetsOptions) -> None:
         api.worker_count(options.workers),
         options.rounds,
     )
-    if options.rounds and options.split in ("val", "val-r"):
-        raise InputError(f"--rounds needs a split built with generate --keep-rounds; {options.split} has no rounds")
     data = api.DataSource.of(options)
-    ahead = data.require_split(options.split, settings.scenes, options.limit)
+    taken = choose_splits(data, [options.split], settings.scenes, options.limit)
+    ((split, ahead),) = taken.ahead.items()
+    unsearched = data.is_embedded and not api.workspace(options.out).split_root(data.name, split).exists()
+    if options.rounds and (split in ("val", "val-r") or unsearched):
+        raise InputError(f"--rounds needs a split built with generate --keep-rounds; {split} has no rounds")
     require_place(options.out, "--out")
+    taken.say()
     if options.dry_run and ahead.builds:
-        print_plan(ahead.plan(f"write sheets of {ahead.counted()} of {options.split}"), json_output=options.json_output)
+        print_plan(ahead.plan(f"write sheets of {ahead.counted()} of {split}"), json_output=options.json_output)
         return
-    between = options.pictures == "all" and options.split == "val" and not options.dry_run
+    between = options.pictures == "all" and split == "val" and not options.dry_run
     source = data.open(sweeps=between)
     root = api.workspace(options.out).sheet_root()
-    dataset = data.open_split(options.split, source)
+    dataset = data.open_split(split, source)
     if options.dry_run:
-        print_plan([describe_plan(dataset, options.split, root, settings)], json_output=options.json_output)
+        print_plan([describe_plan(dataset, split, root, settings)], json_output=options.json_output)
         return
-    written = api.write_sheets(dataset, options.split, root, settings)
+    written = api.write_sheets(dataset, split, root, settings)
     print_result(written.as_json(), written.sentence(), json_output=options.json_output)
-    again = repeat_data_options(options)
+    films = Path("films")
+    film = format_options(split=split, limit=1, to=films) + repeat_data_options(replace(options, categories=None))
     print_next_steps(
         f"sheets: {written.directory}",
-        (
-            f"film --split {options.split} --limit 1 --to films{again}",
-            "make a film of a scene; --model adds plans of evaluated planners",
-        ),
-        (f"leaderboard{repeat_out_option(options.out)}", "write tables and a site that plays all scenes"),
+        None if films.exists() else (f"film{film}", "film a scene; --model adds plans of evaluated planners"),
+        suggest_leaderboard(options.out, *(written.directory / SPLIT_FILE for page in written.scenes if page.made)),
         json_output=options.json_output,
     )
 
@@ -146,7 +151,7 @@ def leaderboard_command(options: LeaderboardOptions) -> None:
     page = f", or open {folder / 'site/index.html'} in a browser" if options.site else ""
     print_next_steps(
         f"to read: {folder / 'README.md'}{page}",
-        (f"leaderboard --check{repeat_out_option(options.out)}", "check that it is current, after further runs"),
+        (f"{repeat_command()} --check", "check that it is current, after further runs"),
         json_output=options.json_output,
     )
 
@@ -182,6 +187,7 @@ class SlicesOptions:
     split: Annotated[str | None, Option("Only records of this split.", "Input")] = None
     data: Annotated[str | None, Option("Only records of the data set of this name.", "Input")] = None
     wide: shared.Wide = False
+    verbose: shared.Verbose = False
     json_output: shared.Json = False
 
 
@@ -223,5 +229,4 @@ def slices_command(options: SlicesOptions) -> None:
     if options.json_output:
         print_json([table.as_json() for table in tables])
         return
-    for table in tables:
-        typer.echo(table.plain(wide=options.wide))
+    print_tables(tables, wide=options.wide, verbose=options.verbose)

@@ -39,7 +39,7 @@ class VerifyOptions:
     json_output: shared.Json = False
 
 
-@command(VerifyOptions)
+@command(VerifyOptions, panel="Advanced")
 def verify_command(options: VerifyOptions) -> None:
     """Compare numerics with golden numbers; exit code 1 if any differ by more than they may."""
     from benchmark.machine.path_checks import require_folder
@@ -64,7 +64,7 @@ class DoctorOptions:
     json_output: shared.Json = False
 
 
-@command(DoctorOptions)
+@command(DoctorOptions, panel="Advanced")
 def doctor_command(options: DoctorOptions) -> None:
     """Say whether this machine computes correctly and has what is needed."""
     from benchmark.machine.environment import checks

@@ -14,7 +14,10 @@ from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError, did_you_mean
 
 app = typer.Typer(
-    cls=FullSummaryGroup, help="List, import and fetch official weights of the native models.", no_args_is_help=True
+    cls=FullSummaryGroup,
+    help="List, import and fetch official weights of the native models.",
+    no_args_is_help=True,
+    rich_help_panel="Advanced",
 )
 
 

@@ -50,7 +50,11 @@ _SUFFIXED = re.compile(r"scene-\d{4}-.+")
 
 
 class NoSuchSplitError(InputError):
-    """A data set is sound, but has no split of a name."""
+    """A data set is sound, but has no split of a name; ``available`` are those that it has."""
+
+    def __init__(self, sentence: str, available: Sequence[str] = ()) -> None:
+        super().__init__(sentence)
+        self.available = tuple(available)
 
 
 def read_splits(root: Path, version: str) -> dict[str, tuple[str, ...]]:
@@ -104,7 +108,7 @@ def select_scenes(
         return known[split]
     available = list_split_names(present, custom, built_as)
     only = f"the only one is {available[0]}" if len(available) == 1 else f"it has {', '.join(available)}"
-    raise NoSuchSplitError(f"{where} has no split {split!r}; {did_you_mean(split, available)}{only}")
+    raise NoSuchSplitError(f"{where} has no split {split!r}; {did_you_mean(split, available)}{only}", available)
 
 
 def find_default_split(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from benchmark.errors import InputError
 from benchmark.machine.user_cache import cache_root as cache_root
 from benchmark.records.seed_splits import parse_seed
+from benchmark.report.words import format_options
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -59,7 +60,8 @@ class Workspace:
         root = self.split_root(DEMONSTRATED, split)
         if not is_finished(root):
             raise InputError(
-                f"--data demo is the output of the demo, missing at {root}; run: challenger-bench demo --out {self.out}"
+                f"--data demo is the output of the demo, missing at {root}; run: challenger-bench demo"
+                f"{format_options(out=self.out)}"
             )
         return root
 
@@ -122,18 +124,18 @@ class Workspace:
         if not is_finished(root) and build is not None:
             root = build()
         if not is_finished(root):
-            data = "" if source.name == EMBEDDED else f"--data {source.root} "
+            data = None if source.name == EMBEDDED else source.root
             raise InputError(
-                f"split {split!r} of {source.name} is missing at {root}; build it with: "
-                f"challenger-bench generate {data}{format_generate_options(split)} --out {self.out}"
+                f"split {split!r} of {source.name} is missing at {root}; build it with: challenger-bench generate"
+                f"{format_options(data=data)} {format_generate_options(split)}{format_options(out=self.out)}"
             )
         generated = open_data(root, name=source.name)
         made_from = (generated.provenance() or {}).get("source") or {}
         if made_from.get("fingerprint") != source.fingerprint():
             raise InputError(
                 f"{root} was generated from another version of {source.name} (its fingerprint differs); "
-                f"run challenger-bench generate --data {source.root} {format_generate_options(split)} again or choose "
-                "another --out"
+                f"run challenger-bench generate{format_options(data=source.root)} {format_generate_options(split)} "
+                "again or choose another --out"
             )
         return generated
 

@@ -69,7 +69,10 @@ class LatexForm:
 
 @dataclass(frozen=True, slots=True)
 class TableExcerpt:
-    """Part of a table that a terminal shows unless all is asked for; its columns by place, those of text first."""
+    """Part of a table that a terminal shows unless all is asked for; its columns by place, those of text first.
+
+    ``notes`` are those that its rows need; what columns mean stands in the table's own.
+    """
 
     title: str
     columns: tuple[int, ...]
@@ -151,24 +154,28 @@ class Table:
         asked for by default, ``indent`` is not before the title, and each column has at least ``least`` characters.
         """
         width, brief = width or find_terminal_width(), None if wide else self.brief
-        places = range(len(self.columns)) if brief is None else brief.columns
-        rows = [[row[place] for place in places] for row in self.rows]
-        lines = align_columns(
-            [self.columns[place] for place in places],
-            rows,
-            text_columns=self.text_columns if brief is None else brief.text_columns,
-            width=None if wide else width - len(indent),
-            least=least,
-        )
         notes = list(self.remarks if brief is None else brief.notes)
         if brief is not None and len(brief.columns) < len(self.columns):
             notes.append(f"--wide shows {pluralise(len(self.columns) - len(brief.columns), 'column')} more.")
         below = [
             line for note in notes for line in wrap_text(note, width, indent=indent, hanging="  ", whole_words=False)
         ]
+        return "\n".join([*self.lines(wide=wide, width=width, indent=indent, least=least), *below]) + "\n"
+
+    def lines(self, *, wide: bool, width: int, indent: str = "", least: Sequence[int] = ()) -> list[str]:
+        """Title and rows of `plain`."""
+        brief = None if wide else self.brief
+        places = range(len(self.columns)) if brief is None else brief.columns
+        lines = align_columns(
+            [self.columns[place] for place in places],
+            [[row[place] for place in places] for row in self.rows],
+            text_columns=self.text_columns if brief is None else brief.text_columns,
+            width=None if wide else width - len(indent),
+            least=least,
+        )
         full_title = self.title if brief is None else brief.title
         title = wrap_text(full_title, width, whole_words=False) if full_title else []
-        return "\n".join([*title, *(f"{indent}{line}" if line else "" for line in lines), *below]) + "\n"
+        return [*title, *(f"{indent}{line}" if line else "" for line in lines)]
 
     def latex(self) -> str:
         """The table as a LaTeX ``table`` environment with booktabs rules, groups over their columns."""
@@ -221,6 +228,23 @@ class Table:
     def json(self) -> str:
         """`as_json` as text, one line for each row of the table and of its facts."""
         return "{\n" + ",\n".join(_json_members(self.as_json())) + "\n}\n"
+
+
+def format_tables(tables: Sequence[Table], *, wide: bool, verbose: bool, width: int | None = None) -> str:
+    """Tables for a terminal, one below the other, and their notes once below all of them.
+
+    ``wide`` is as in `Table.plain`; ``verbose`` gives every note, not only those that rows need.
+    """
+    width, briefs = width or find_terminal_width(), [table.brief for table in tables if table.brief]
+    shown = [table.remarks if verbose or table.brief is None else table.brief.notes for table in tables]
+    notes = list(dict.fromkeys(note for of_table in shown for note in of_table))
+    hides = not wide and any(table.brief and len(table.brief.columns) < len(table.columns) for table in tables)
+    more = ["--wide shows all columns"] if hides else []
+    more += [f"-v explains {'them' if hides else 'the columns'}"] if briefs and not verbose else []
+    notes += [f"{', '.join(more)}."] if more else []
+    below = [line for note in notes for line in wrap_text(note, width, hanging="  ", whole_words=False)]
+    blocks = [*(table.lines(wide=wide, width=width) for table in tables), *([below] if below else [])]
+    return "\n\n".join("\n".join(lines) for lines in blocks)
 
 
 def build_table(

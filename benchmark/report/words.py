@@ -1,4 +1,6 @@
-"""Words of sentences that depend on numbers."""
+"""Words of sentences that depend on numbers, and of commands that a sentence names."""
+
+import shlex
 
 
 def pluralise(count: int, one: str, many: str | None = None) -> str:
@@ -31,3 +33,12 @@ def format_split(split: str, data_name: str) -> str:
 def format_title(data_name: str, split: str) -> str:
     """The same as the beginning of a title: ``mini, split adv``."""
     return f"split {split}" if data_name == split else f"{data_name}, split {split}"
+
+
+def format_options(**given: object) -> str:
+    """Options of a command, each with a space before it and quoted for a shell; ``None`` and nothing are left out."""
+    words: list[str] = []
+    for name, value in given.items():
+        for part in value if isinstance(value, list | tuple) else () if value is None else (value,):
+            words += [f"--{name.replace('_', '-')}", str(part)]
+    return "".join(f" {shlex.quote(word)}" for word in words)

@@ -132,14 +132,18 @@ class BuildReport:
             f"{pluralise(len(self.written), 'scene')} written"
         )
 
-    def summary(self) -> str:
-        """The sentence, and below it how many vehicles were kept and dropped, by reason, and what was skipped."""
-        if not self.unlabelled:
-            return self._summary()
-        names = ", ".join(self.unlabelled[:3]) + (", ..." if len(self.unlabelled) > 3 else "")
-        return f"{self._summary()}\n  skipped {pluralise(len(self.unlabelled), 'scene')} without annotations ({names})"
+    def summary(self, *, verbose: bool = False) -> str:
+        """The sentence, and below it how many vehicles were kept and dropped, by reason, and what was skipped.
 
-    def _summary(self) -> str:
+        If ``verbose`` masked steps, too.
+        """
+        if not self.unlabelled:
+            return self._summary(verbose=verbose)
+        names = ", ".join(self.unlabelled[:3]) + (", ..." if len(self.unlabelled) > 3 else "")
+        skipped = f"skipped {pluralise(len(self.unlabelled), 'scene')} without annotations ({names})"
+        return f"{self._summary(verbose=verbose)}\n  {skipped}"
+
+    def _summary(self, *, verbose: bool) -> str:
         if self.dry_run or self.split == "val-r":
             return self.sentence()
         written_count = self.tried - sum(self.discarded.values()) - sum(self.dropped.values())
@@ -167,7 +171,7 @@ class BuildReport:
             f"{row['written']} written"
             for kind, row in self.requests.items()
         ]
-        if self.masked_steps:
+        if verbose and self.masked_steps:
             lines.append(f"  {format_masked_steps(self.masked_steps)}")
         if self.surrogate is not None:
             lines.append(

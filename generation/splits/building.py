@@ -89,8 +89,8 @@ class FrozenBuildReport:
             "written": list(self.written),
         }
 
-    def summary(self) -> str:
-        """A few lines for people."""
+    def summary(self, *, verbose: bool = False) -> str:
+        """A few lines for people; if ``verbose`` masked steps, too."""
         count = len(self.written)
         if self.estimate is not None:
             return (
@@ -103,10 +103,11 @@ class FrozenBuildReport:
             else f"differ in {len(self.other_tables)} of {pluralise(count, 'scene')}, "
             "because the recordings here differ"
         )
+        masked = f"  {format_masked_steps(self.masked_steps)}\n" if verbose else ""
         return (
             f"{pluralise(count, 'scene')} built from {'the edited' if self.edited else 'frozen split'} {self.name}, "
             f"{pluralise(self.scenes, 'recorded scene')}\n"
-            f"  tables: {tables}\n  images: {self._images(count)}\n  {format_masked_steps(self.masked_steps)}\n"
+            f"  tables: {tables}\n  images: {self._images(count)}\n{masked}"
             f"  unavoidable scenes: {len(self.unsolvable)}, kept as frozen" + self._format_verification()
         )
 

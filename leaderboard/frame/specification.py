@@ -104,11 +104,14 @@ def tabulate(
     sources: Sequence[str] = (),
     latex_form: LatexForm | None = None,
 ) -> Table:
-    """Table of a specification, with its `brief` form for the terminal and the `sources` of quoted numbers."""
+    """Table of a specification, with its `brief` form for the terminal and the `sources` of quoted numbers.
+
+    ``brief_notes`` are the notes that its rows need, without what columns mean.
+    """
     groups = [(label, len(list(same))) for label, same in itertools.groupby(columns, lambda column: column.group)]
     brief_form = None
-    if brief is not None:
-        places = [place for place, column in enumerate(columns) if column.key in brief]
+    if brief is not None or brief_notes is not None:
+        places = [place for place, column in enumerate(columns) if brief is None or column.key in brief]
         shown_notes = tuple(notes if brief_notes is None else brief_notes)
         brief_form = TableExcerpt(
             brief_title or title, tuple(places), shown_notes, sum(columns[place].text for place in places)

@@ -30,6 +30,10 @@ READINGS_NOTE: Final = (
     "by nuPlan's rules. Attributable: at fault, and the careful and competent human (UN R157) survives the scene. "
     "Bystander: the plan touches a road user other than the adversary first; it counts in no rate."
 )
+_SHORT_NOTE: Final = (
+    "Attributable: contact with the adversary, at fault, in a scene that a careful human driver (UN R157) survives; "
+    "bystander: another road user is touched first."
+)
 RULES_NOTE: Final = (
     "One sample decides a scene. Unknown cases are left out of rates: attributable needs an assessed scene. "
     "Brackets: 95 % bootstrap interval over recorded scenes (docs/severity.md)."
@@ -109,7 +113,7 @@ def attack_tables(frame: DataSetRuns) -> list[Table]:
         (READINGS_NOTE, RULES_NOTE, *unknown, *notes),
         brief=("planner", "split", *(f"{head}, scenes" for head in _READINGS), "judged"),
         # The other notes on the runs are below the rates already.
-        brief_notes=(READINGS_NOTE, *list_run_marks(row.record for row in rows), *unknown),
+        brief_notes=(_SHORT_NOTE, *list_run_marks(row.record for row in rows), *unknown),
     )
     contacts = f"{frame.data_name}: severity of the first contact of a plan"
     near = f"{frame.data_name}: near misses of plans without contact with an adversary"

@@ -157,7 +157,7 @@ def _table(runs: Sequence[RunRecord], protocol: str, title: str, notes: Sequence
         map(_values, rows),
         (*notes, BRIEF_NOTE, *of_columns, *further_notes),
         brief=_BRIEF,
-        brief_notes=(*notes, BRIEF_NOTE, *_list_mask_notes(rows), *further_notes),
+        brief_notes=(*notes, *further_notes),
         sources=(TABLE_1_SOURCE,) if has_paper else (),
     )
 
@@ -198,21 +198,6 @@ def _has_mask(row: RunRow[ProtocolSummary]) -> bool:
 def _count_masked(summary: ProtocolSummary) -> int | None:
     masked, for_adversary = summary.mask_removed_steps, summary.mask_removed_for_adversary
     return None if masked is None or for_adversary is None else masked - for_adversary
-
-
-def _list_mask_notes(rows: Sequence[RunRow[ProtocolSummary]]) -> list[str]:
-    """Notes on masked steps for a terminal, which does not show the columns."""
-    mask_texts = [
-        f"{row.describe_run} {row.found.mask_removed_for_adversary} / {_count_masked(row.found)}"
-        if row.found.mask_removed_for_adversary is not None
-        else f"{row.describe_run} {row.found.mask_removed_steps} in all"
-        for row in rows
-        if row.found.mask_removed_steps
-    ]
-    sentence = (
-        "Colliding steps masked because the recorded ego touches an adversary / something else under the same protocol"
-    )
-    return [f"{sentence}: {', '.join(mask_texts)}."] if mask_texts else []
 
 
 def _run_notes(runs: Sequence[RunRecord], protocol: str) -> list[str]:

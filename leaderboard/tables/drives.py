@@ -268,7 +268,9 @@ def _table(group: ComparableDrives) -> Table:
     notes = (*notes, *([_NOTE_FAIRNESS] if fair else []), _FAILED_NOTE, *group.notes)
     rows = [_values(row, {name: unit for name, _, unit, _ in measured}) for row in group.rows]
     brief = _BRIEF if own else [column.key for column in columns]
-    return tabulate(f"drives-{group.name}", group.title, columns, rows, notes, brief=brief)
+    failed = [_FAILED_NOTE] if any(record.summary.failed for record in group.records) else []
+    brief_notes = (*failed, *group.notes)
+    return tabulate(f"drives-{group.name}", group.title, columns, rows, notes, brief=brief, brief_notes=brief_notes)
 
 
 def _neuroncap_columns(records: Sequence[DriveRecord]) -> Sequence[_MeasuredColumn]:

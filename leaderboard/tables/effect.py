@@ -30,10 +30,15 @@ _NOTE: Final = (
     "and on the same recordings unchanged, sample by sample. Difference in percentage points, with 95 % interval over "
     "recordings. Each recording has the same weight, with any number of variants (docs/metrics.md)."
 )
+_SHORT_NOTE: Final = (
+    "Adversary: samples whose plan touches the adversary first within 3 s; at fault: by the planner's fault. "
+    "Difference: any contact, in percentage points above the same recordings unchanged."
+)
 _OTHERS_NOTE: Final = (
     "New others: contacts with other objects that the planner does not have on the unchanged recording; "
     "lost others: the reverse."
 )
+_FEW_DIFFER_NOTE: Final = "A dash for an interval: too few recordings differ from the unchanged ones."
 _COLUMNS: Final = [
     *text_columns("planner", "split"),
     *group_columns(
@@ -76,7 +81,7 @@ def effect_table(frame: DataSetRuns) -> Table | None:
             refused[f"Left out: {refusal}."] = None
         effects += [] if effect is None else [effect]
         rows.append({"planner": row_name(record, EXACT), "split": record.run.split, **_values(effect)})
-    lacking = (*_list_missing(runs, effects), *refused)
+    lacking, few = (*_list_missing(runs, effects), *refused), _list_too_few(effects)
     # A note for intervals of other tables: this one's hold over few recordings, or are omitted.
     run_sentences = [note for note in run_notes(runs, ()) if note != FEW_NOTE]
     return tabulate(
@@ -84,10 +89,10 @@ def effect_table(frame: DataSetRuns) -> Table | None:
         f"{frame.data_name}: effect of the adversary (%, samples), protocol {EXACT}",
         _COLUMNS,
         rows,
-        (_NOTE, _OTHERS_NOTE, *lacking, *run_sentences),
+        (_NOTE, _OTHERS_NOTE, *lacking, *few, *run_sentences),
         brief=_BRIEF,
         # The other notes on the runs are below the rates already.
-        brief_notes=(_NOTE, *lacking, *list_run_marks(runs)),
+        brief_notes=(_SHORT_NOTE, *lacking, *([_FEW_DIFFER_NOTE] if few else []), *list_run_marks(runs)),
     )
 
 
@@ -186,9 +191,16 @@ def _list_pair_notes(record: RunRecord, paired: PairedEffect) -> list[str]:
             f"{record.planner} on {record.run.split}: {pluralise(paired.unpaired, 'sample')} without a partner on the "
             f"unchanged recordings{some}: in no pair."
         )
-    if (reason := _explain_too_few(paired.difference)) is not None:
-        notes.append(f"{record.planner} on {record.run.split}: {reason}.")
     return notes
+
+
+def _list_too_few(effects: Sequence[AdversaryEffect]) -> list[str]:
+    """Sentences on differences without an interval."""
+    return [
+        f"{effect.record.planner} on {effect.record.run.split}: {reason}."
+        for effect in effects
+        if effect.paired is not None and (reason := _explain_too_few(effect.paired.difference)) is not None
+    ]
 
 
 def _explain_too_few(difference: PairedDifference) -> str | None:

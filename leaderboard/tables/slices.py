@@ -144,15 +144,14 @@ def _rates_table(frame: DataSetRuns, kind: SliceKind, protocol: str) -> Table:
         ("adversary avg", "95 % of adversary avg", "any avg") if pursued else ("col. avg", "95 % of col. avg", "L2 avg")
     )
     title = f"{frame.data_name}: collision rate (%) and L2 (m) by {kind}, {name_judge(protocol)}"
-    notes = [
+    words = [
         _SLICE_WORDS[kind],
         *((_WHOM,) if pursued else ()),
         *(column.says for column in further),
         _INTERVALS,
-        *notes,
     ]
     values = [_rate_values(row, kind, collision, further) for row in rows]
-    return _table(f"{SLICES}-{kind}-{protocol}", title, columns, values, notes, first)
+    return _table(f"{SLICES}-{kind}-{protocol}", title, columns, values, words, notes, first)
 
 
 def _horizon_columns(head: str, ends: int) -> Columns:
@@ -195,9 +194,8 @@ def _driving_table(frame: DataSetRuns, kind: SliceKind) -> Table:
     ]
     title = f"{frame.data_name}: driving scores (%) by {kind}, {DEFINITION}"
     shown_heads = [head for head in HEADS.values() if head != HEADS["score_without_ec"]]
-    return _table(
-        f"{SLICES}-{kind}-{PDM}", title, columns, values, (_SLICE_WORDS[kind], _INTERVALS, *notes), shown_heads
-    )
+    words = (_SLICE_WORDS[kind], _INTERVALS)
+    return _table(f"{SLICES}-{kind}-{PDM}", title, columns, values, words, notes, shown_heads)
 
 
 def _causes_table(frame: DataSetRuns, kind: SliceKind) -> Table:
@@ -221,8 +219,8 @@ def _causes_table(frame: DataSetRuns, kind: SliceKind) -> Table:
         for row in rows
     ]
     title = f"{frame.data_name}: causes of collisions (% of the colliding samples) by {kind}, protocol {EXACT}"
-    notes = [_SLICE_WORDS[kind], "The causes are those of docs/diagnosis.md.", _INTERVALS, *notes]
-    return _table(f"{SLICES}-{kind}-{DIAGNOSIS}", title, columns, values, notes, CAUSES)
+    words = [_SLICE_WORDS[kind], "The causes are those of docs/diagnosis.md.", _INTERVALS]
+    return _table(f"{SLICES}-{kind}-{DIAGNOSIS}", title, columns, values, words, notes, CAUSES)
 
 
 def _rows(
@@ -249,8 +247,15 @@ def _rows(
 
 
 def _table(
-    name: str, title: str, columns: Columns, rows: Sequence[Values], notes: Sequence[str], shown: Sequence[str]
+    name: str,
+    title: str,
+    columns: Columns,
+    rows: Sequence[Values],
+    words: Sequence[str],
+    run_notes: Sequence[str],
+    shown: Sequence[str],
 ) -> Table:
-    """A table with a brief form for terminals."""
+    """A table with a brief form for terminals, which leaves out the ``words`` of its columns."""
     brief = [column.name for column in columns if column.text or column.name in ("samples", "colliding", "scenes")]
-    return tabulate(name, title, columns, rows, notes, brief=[*brief, *shown])
+    notes = (*words, *run_notes)
+    return tabulate(name, title, columns, rows, notes, brief=[*brief, *shown], brief_notes=run_notes)

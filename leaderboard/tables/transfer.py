@@ -132,6 +132,7 @@ def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:
     rates = {
         f"#{victim}": _share_cell(rate, _find_origin(matrix, victim)) for victim, rate in enumerate(matrix.base_rates)
     }
+    run_notes = _list_run_notes(matrix)
     columns = [
         *text_columns("surrogate"),
         *group_columns(f"surrogate, {_describe_failures(matrix)}", number_columns("its failed scenes")),
@@ -147,8 +148,12 @@ def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:
             f"{UNDEFINED}: the diagonal (100 by construction), or undefined because the surrogate fails no scene.",
             f"A scene fails a planner if {_FAILS[matrix.adversary_only]}. Last row: the victim's failure rate over "
             "all scenes; transfer is what exceeds it.",
-            *_list_undecided(matrix),
-            *_common_notes(matrix),
+            *run_notes,
+        ),
+        brief_notes=(
+            "Cell: share of the surrogate's failed scenes that the victim (column) fails too, with counts; last row: "
+            "its failure rate over all scenes.",
+            *run_notes,
         ),
     )
 
@@ -172,6 +177,7 @@ def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
         *group_columns(f"agreement, {_describe_failures(matrix)}", estimate_columns("φ", "lift", digits=2, ends=2)),
     ]
     _, title = name_lift(data_name, matrix)
+    run_notes = _list_run_notes(matrix)
     return tabulate(
         f"agreement-{matrix.split}-{_name_contacts(matrix)}",
         title,
@@ -182,9 +188,9 @@ def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
             f"chance, below 0 other ones; {UNDEFINED} where one of them fails all or none.",
             "Lift: how many times more often they fail together than by chance. It is near 1 where both fail nearly "
             "everything, regardless of the transfer matrix.",
-            *_list_undecided(matrix),
-            *_common_notes(matrix),
+            *run_notes,
         ),
+        brief_notes=run_notes,
     )
 
 
@@ -205,6 +211,7 @@ def lift_table(data_name: str, matrix: TransferMatrix) -> Table:
         for row, column, estimate, unit in ((first, second, lift, "×"), (second, first, agreement.phi, "φ")):
             cell = origin.cell(estimate.value, unit, scenes, "scenes", low=estimate.low, high=estimate.high)
             rows[row][f"#{column}"] = cell.shown(1, after=_format_interval(cell, 1))
+    run_notes = _list_run_notes(matrix)
     columns = [
         *text_columns("planner"),
         *group_columns(f"scenes in %, {_describe_failures(matrix)}", number_columns("fails %")),
@@ -219,9 +226,9 @@ def lift_table(data_name: str, matrix: TransferMatrix) -> Table:
             "chance (1: as by chance). Below it: φ, the correlation of the two verdicts (0: as by chance). Brackets: "
             f"95 % bootstrap interval over recorded scenes. {UNDEFINED}: one of them fails all scenes, or none.",
             f"A scene fails a planner if {_FAILS[matrix.adversary_only]}.",
-            *_list_undecided(matrix),
-            *_common_notes(matrix),
+            *run_notes,
         ),
+        brief_notes=("Above the diagonal: lift (1: as by chance). Below it: φ (0: as by chance).", *run_notes),
     )
 
 
@@ -260,19 +267,17 @@ def format_planner_names(matrix: TransferMatrix) -> list[str]:
     ]
 
 
-def _list_undecided(matrix: TransferMatrix) -> list[str]:
-    return [
+def _list_run_notes(matrix: TransferMatrix) -> list[str]:
+    """Notes that the rows of a matrix need: scenes without a verdict, few scenes, marks, plans of files."""
+    undecided = [
         f"{planner}: no verdict on {pluralise(len(scenes), 'scene')} ({', '.join(scenes[:3])}"
         f"{', …' if len(scenes) > 3 else ''}), left out of the rates."
         for planner, scenes in zip(matrix.planners, matrix.undecided)
         if scenes
     ]
-
-
-def _common_notes(matrix: TransferMatrix) -> list[str]:
     few = [FEW_NOTE] if matrix.recordings < FEW_SCENES else []
     marks = mark_notes(privileged=any(matrix.privileged), miniature=any(matrix.miniatures))
-    return [*few, *marks, *matrix.file_notes]
+    return [*undecided, *few, *marks, *matrix.file_notes]
 
 
 def _describe_failures(matrix: TransferMatrix) -> str:

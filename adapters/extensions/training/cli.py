@@ -13,7 +13,12 @@ from benchmark.cli.options import parse_name_list
 from benchmark.cli.output import print_json
 from benchmark.cli.settings import Option, command
 
-app = typer.Typer(cls=FullSummaryGroup, help="Train the small models that this package carries.", no_args_is_help=True)
+app = typer.Typer(
+    cls=FullSummaryGroup,
+    help="Train the small models that this package carries.",
+    no_args_is_help=True,
+    rich_help_panel="Advanced",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,6 +1,7 @@
 """Commands of organisers: ``challenge check|score|rules``, strangers' scenes held to rules and recordings."""
 
 import os
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,10 +13,17 @@ from benchmark import api
 from benchmark.cli import options as shared
 from benchmark.cli.help import FullSummaryGroup
 from benchmark.cli.options import parse_name_list
-from benchmark.cli.output import print_json, print_next_steps, print_result, repeat_out_option
+from benchmark.cli.output import (
+    print_json,
+    print_next_steps,
+    print_result,
+    print_tables,
+    repeat_out_option,
+    suggest_leaderboard,
+)
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
-from benchmark.report.words import pluralise
+from benchmark.report.words import format_options, pluralise
 
 if TYPE_CHECKING:
     from benchmark.records.challenge import EntryVerdict
@@ -24,6 +32,7 @@ app = typer.Typer(
     cls=FullSummaryGroup,
     help="Check and rank strangers' adversarial scenes, as the organiser of a challenge.",
     no_args_is_help=True,
+    rich_help_panel="Data",
 )
 
 
@@ -88,10 +97,13 @@ def challenge_check_command(options: ChallengeCheckOptions) -> None:
         print_json(verdict.model_dump(mode="json", by_alias=True))
     else:
         _print_verdict(verdict)
-    again = repeat_out_option(options.out)
+    given = format_options(
+        base=options.base, rules=options.rules, base_tables=options.base_tables, model="constant-velocity"
+    )
+    score = f"challenge score {shlex.quote(str(options.root))}{given}{repeat_out_option(options.out)}"
     print_next_steps(
         f"verdict: {file}{f', {page} in any browser' if options.page else ''}",
-        (f"challenge score {options.root} --base {options.base} --model constant-velocity{again}", "planners on it"),
+        (score, "planners on it") if verdict.accepted else None,
         json_output=options.json_output,
     )
     raise typer.Exit(0 if verdict.accepted else 1)
@@ -176,11 +188,10 @@ def challenge_score_command(options: ChallengeScoreOptions) -> None:
     if options.json_output:
         print_json(scores.model_dump(mode="json", by_alias=True))
     else:
-        for table in challenge_tables(scores):
-            typer.echo(table.plain(wide=options.wide))
+        print_tables(challenge_tables(scores), wide=options.wide, verbose=True)
     print_next_steps(
         f"scores: {file}; verdicts and records of the planners: {folder}",
-        (f"leaderboard{repeat_out_option(options.out)}", "the entries beside the planners"),
+        suggest_leaderboard(options.out, file),
         json_output=options.json_output,
     )
     failed = any(planner_score.failed for entry in scores.entries for planner_score in entry.planners.values())

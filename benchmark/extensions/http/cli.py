@@ -35,7 +35,7 @@ class ServeOptions:
     seed: shared.Seed = 0
 
 
-@command(ServeOptions)
+@command(ServeOptions, panel="Advanced")
 def serve_command(options: ServeOptions) -> None:
     """Answer a simulator's requests with a planner's plans, over HTTP, until interrupted."""
     supervision = api.PlannerSource.of(options, data="").require().supervision

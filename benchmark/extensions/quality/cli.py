@@ -1,6 +1,6 @@
 """Command that measures the quality of videos: ``quality``."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -12,10 +12,10 @@ from benchmark.cli.output import (
     print_plan,
     print_result,
     print_shard_progress,
-    repeat_data_options,
-    repeat_out_option,
+    suggest_leaderboard,
 )
 from benchmark.cli.settings import Option, command
+from benchmark.cli.splits import choose_splits
 
 if TYPE_CHECKING:
     from benchmark.extensions.quality.definition import QualityDefinition
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 class QualityOptions:
     """Options of ``quality``."""
 
-    split: shared.Split = "val"
+    split: shared.Split = "adv"
     data: shared.Data = "mini"
     out: shared.Out = api.OUT
     tables: shared.Tables = None
@@ -48,7 +48,7 @@ class QualityOptions:
     dry_run: shared.DryRun = False
 
 
-@command(QualityOptions)
+@command(QualityOptions, panel="Data")
 def quality_command(options: QualityOptions) -> None:
     """Measure subject consistency and imaging quality of a split's videos; the same command goes on."""
     from benchmark.extensions.quality.definition import QualityDefinition, find_mask_source
@@ -63,8 +63,11 @@ def quality_command(options: QualityOptions) -> None:
     mine = None if options.shard is None else Shard.named(options.shard)
     require_folder(options.weights_folder, "--weights-folder")
     data, scenes = api.DataSource.of(options), parse_name_list(options.scenes)
-    ahead = data.require_split(options.split, scenes, options.limit)
+    taken = choose_splits(data, [options.split], scenes, options.limit)
+    ((split, ahead),) = taken.ahead.items()
+    options = replace(options, split=split)
     require_place(options.out, "--out")
+    taken.say()
     if options.dry_run and ahead.builds:
         then = f"score {ahead.counted()} of {options.split}; masks from {options.masks}"
         print_plan(ahead.plan(then), json_output=options.json_output)
@@ -85,8 +88,7 @@ def quality_command(options: QualityOptions) -> None:
     root = api.workspace(options.out).quality_root()
     if mine is not None:
         finished = measure_shard(dataset, options.split, root, settings, mine)
-        step = (f"quality{repeat_data_options(options)}", "with the same options and no --shard, when all shards are")
-        print_shard_progress(mine, [finished], "scored", step, json_output=options.json_output)
+        print_shard_progress(mine, [finished], "scored", json_output=options.json_output)
         return
     record = measure_quality(dataset, options.split, root, settings)
     for caveat in record.caveats:
@@ -96,7 +98,7 @@ def quality_command(options: QualityOptions) -> None:
     print_result({"directory": str(record.directory), **facts}, f"{table}\n", json_output=options.json_output)
     print_next_steps(
         f"record: {record.directory}",
-        (f"leaderboard{repeat_out_option(options.out)}", "shows all records in tables beside the paper's"),
+        suggest_leaderboard(options.out, *record.directory.glob("*.json")),
         json_output=options.json_output,
     )
 

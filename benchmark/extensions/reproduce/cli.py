@@ -11,6 +11,7 @@ from benchmark.cli import options as shared
 from benchmark.cli.output import print_next_steps, print_plan, print_result, repeat_data_options
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
+from benchmark.report.words import format_options
 
 if TYPE_CHECKING:
     from benchmark.extensions.reproduce.reproducing import ExpectedNumbers
@@ -42,7 +43,7 @@ class ReproduceOptions:
     dry_run: shared.DryRun = False
 
 
-@command(ReproduceOptions)
+@command(ReproduceOptions, panel="Advanced")
 def reproduce_command(options: ReproduceOptions) -> None:
     """Run official weights as in their published run, and compare number by number; exit code 1 if any differs."""
     from benchmark.evaluation import require_whole_split
@@ -82,15 +83,16 @@ def reproduce_command(options: ReproduceOptions) -> None:
     print_result(result, reproduction_table(reproduction).plain(wide=options.wide), json_output=options.json_output)
     if not reproduction.reproduced:
         raise typer.Exit(1)
-    as_published = "".join(f" --as-published {option}" for option in published)
-    print_next_steps(
-        f"record: {record.directory}",
-        (
-            f"eval --model {options.model} --split adv{as_published}{repeat_data_options(options)}",
-            "marks runs of the same weights, code and options as reproduced in tables",
-        ),
-        json_output=options.json_output,
-    )
+    same = ("model", "checkpoint", "device", "precision")
+    given = format_options(**{name: getattr(options, name) for name in same}, as_published=published, split="adv")
+    try:
+        data.require_split("adv")
+    except InputError:
+        step = None
+    else:
+        why = "marks runs of the same weights, code and options as reproduced in tables"
+        step = (f"eval{given}{repeat_data_options(options)}", why)
+    print_next_steps(f"record: {record.directory}", step, json_output=options.json_output)
 
 
 def _find_planner(model: str, checkpoint: Path | None, data: str, expected: Path | None) -> str:

@@ -11,9 +11,11 @@ import typer
 from benchmark import api
 from benchmark.cli import options as shared
 from benchmark.cli.options import parse_name_list
-from benchmark.cli.output import print_json, print_next_steps, repeat_out_option
+from benchmark.cli.output import print_json, print_next_steps, suggest_leaderboard
 from benchmark.cli.settings import Option, command
+from benchmark.cli.splits import say_default_split
 from benchmark.errors import InputError, did_you_mean
+from benchmark.report.words import format_options
 
 if TYPE_CHECKING:
     from benchmark.closed_loop.observation_builder import Sensor
@@ -58,7 +60,7 @@ class FilmOptions:
     json_output: shared.Json = False
 
 
-@command(FilmOptions)
+@command(FilmOptions, panel="Results")
 def film_command(options: FilmOptions) -> None:
     """Film scenes from their sheets, or drives: cameras, view from above, plans and verdicts (docs/extensions/films.md)."""  # noqa: E501
     from benchmark.constants import FRAME_HZ
@@ -90,6 +92,7 @@ def film_command(options: FilmOptions) -> None:
     def watch(frames: "Iterable[Picture]", total: int, label: str) -> "Iterable[Picture]":
         return track_progress(frames, total=total, label=label, count=CountedUnits("frame"))
 
+    say_default_split(options.split)
     if options.drives:
         written = write_drive_films(
             options.split,
@@ -130,7 +133,7 @@ def film_command(options: FilmOptions) -> None:
         print_json({"films": films})
     print_next_steps(
         f"films: {options.to}",
-        (f"leaderboard{repeat_out_option(options.out)}", "builds a site that plays all scenes"),
+        suggest_leaderboard(options.out),
         json_output=options.json_output,
     )
 
@@ -265,8 +268,8 @@ def _select_drives(selection: _DriveSelection) -> "list[tuple[DriveRecord, str, 
     from leaderboard.extensions.films.filming import find_data_set_name
 
     root = api.workspace(selection.out).drive_root()
-    options = f"--data {selection.data} --split {selection.split} --out {selection.out}"
-    again = f"make some with: challenger-bench drive {options}"
+    options = format_options(data=selection.data, split=selection.split, out=selection.out)
+    again = f"make some with: challenger-bench drive{options}"
     if selection.records is None and not root.is_dir():
         raise InputError(f"there are no records of drives below {root}; {again}")
     data = find_data_set_name(selection.data)

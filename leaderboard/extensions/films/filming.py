@@ -23,7 +23,7 @@ from benchmark.records.scene_pages import (
 )
 from benchmark.report.canvas import Picture, encode_png
 from benchmark.report.episode_page import EpisodePage
-from benchmark.report.words import format_split
+from benchmark.report.words import format_options, format_split
 from leaderboard.extensions.films.drive_film import DriveFilm
 from leaderboard.extensions.films.film import Film, FilmSettings
 
@@ -124,7 +124,7 @@ def find_planner_folder(root: Path, data: str, split: str) -> Path:
 def find_scene_page_folders(root: Path, data: str, split: str, scenes: Sequence[str] | None) -> list[Path]:
     """Folders of the sheets of some scenes, by scene; of all that have one by default."""
     data_name = find_data_set_name(data)
-    make = f"make it with: challenger-bench sheets --data {data} --split {split} --out {root.parent}"
+    make = f"make it with: challenger-bench sheets{format_options(data=data, split=split, out=root.parent)}"
     if scenes is None:
         page_files = sorted(split_folder(root, data_name, split).glob(f"{SCENES_FOLDER}/*/{SHEET_FILE}"))
         if not page_files:

@@ -237,10 +237,10 @@ _DRY: tuple[tuple[str, str], ...] = (
         "build split adv from frozen split mini-adv-1, 1 scene;",
     ),
     (f"generate --dry-run --from {{empty}} {_OUT}", "build split adv from the edited scenes"),
-    (f"eval --dry-run --model idm --json {_OUT}", "run idm on 10 scenes of val"),
+    (f"eval --dry-run --model idm --json {_OUT}", "run idm on 19 scenes of adv"),
     (f"drive --dry-run --model idm --no-baselines {_OUT}", "drive idm through 19 scenes of adv"),
     (f"sheets --dry-run --limit 2 --split val-r {_OUT}", "write sheets of 2 scenes of val-r"),
-    (f"quality --dry-run --masks boxes {_OUT}", "score 10 scenes of val"),
+    (f"quality --dry-run --masks boxes {_OUT}", "score 19 scenes of adv"),
     (f"generate --dry-run --surrogate vad {_OUT}", "build split adv from 10 scenes"),
     (f"ablate --dry-run --scenes scene-8003 {_OUT}", "search 1 scene four times"),
 )

@@ -59,10 +59,10 @@ def test_the_good_data_set_is_good(good: Path, tmp_path: Path) -> None:
 def test_adversarial_scenes_are_never_val(
     broken: Path, tmp_path: Path, arguments: tuple[str, ...], option: str
 ) -> None:
-    """As `generate` and `demo` write them: `splits.json` has adv alone; `val` is the default, and may be named."""
+    """As `generate` and `demo` write them: `splits.json` has adv alone; `val` may be named, or be the default."""
     (broken / VERSION / "splits.json").write_text('{"adv": ["scene-9901"]}')
     (broken / VERSION / "challenger.json").write_text('{"split": "adv", "scenes": {"scene-9901": {}}}')
-    for named in ((), (option, "val")):
+    for named in ((option, "val"), *([()] if option == "--source-split" else [])):
         said = refusal(*arguments, *named, "--data", broken, "--out", tmp_path / "out")
         assert said.endswith("road has no split 'val'; the only one is adv")
     assert not (tmp_path / "out" / "runs").exists()

@@ -39,5 +39,5 @@ def test_a_dry_run_builds_nothing_and_says_what_would_be(
     dry = refusals[arguments]
     assert not dry.refused and f"would then {says}" in dry.sentence
     assert "would first build the embedded data set in" in dry.sentence and "about a minute, 0.062 GB" in dry.sentence
-    assert ("the frozen split" in dry.sentence) == ("--split adv" in arguments or arguments.startswith("drive"))
+    assert ("the frozen split" in dry.sentence) == (says.endswith("of adv"))
     assert dry.left == [] and dry.imported == []

@@ -1,12 +1,14 @@
 """``leaderboard slices`` and ``eval --by``: what is printed, as tables and as JSON, and what is refused."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import typer
 
 from benchmark.cli.app import app
+from benchmark.cli.eval_options import EvalOptions
 from benchmark.cli.evaluate import _show_runs
 from benchmark.evaluation import evaluate
 from benchmark.metrics.slices import KINDS
@@ -45,14 +47,14 @@ def test_machines_get_tables_with_the_facts_behind_them(runs: Path, capsys: pyte
 
 def test_eval_prints_them_behind_its_tables_and_in_its_json(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     record = evaluate(town_of_two(slow_leader=True), "val", Straight(), runs)
-    settings = {"allow_partial": False, "wide": False}
-    assert _show_runs("fake", [record], None, ["place"], runs, json_output=False, **settings)
+    by_place = EvalOptions(by=("place",))
+    assert _show_runs("fake", [record], None, runs, by_place)
     text = capsys.readouterr().out
     assert text.index("protocol exact (version") < text.index("by place, protocol exact")
-    assert _show_runs("fake", [record], None, ["place"], runs, json_output=True, **settings)
+    assert _show_runs("fake", [record], None, runs, replace(by_place, json_output=True))
     said = json.loads(capsys.readouterr().out)
     assert said["slices"][0]["name"] == "slices-place-exact" and said["runs"][0]["status"] == "complete"
-    assert _show_runs("fake", [record], None, [], runs, json_output=True, **settings)
+    assert _show_runs("fake", [record], None, runs, EvalOptions(json_output=True))
     assert json.loads(capsys.readouterr().out)[0]["status"] == "complete"
 
 

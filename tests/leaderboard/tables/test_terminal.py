@@ -9,10 +9,12 @@ from itertools import product
 
 import pytest
 
+from adapters.models import baselines, miniatures
 from benchmark.records.planner_versions import label_versions
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import MINIATURE_MARK, RANKS_NOTHING
-from benchmark.report.table import Table
+from benchmark.report.table import Table, format_tables
+from leaderboard.frame.rows import FEW_NOTE, MINIATURE_NOTE
 from leaderboard.frame.runs import DataSetRuns
 from leaderboard.tables.collision import run_tables
 from leaderboard.tables.contents import build_data_set_tables
@@ -88,6 +90,34 @@ def test_what_an_evaluation_prints_is_average_interval_l2_and_failed_scenes() ->
         wide = table.plain(wide=True, width=80)
         assert "--wide" not in wide and all(head in wide.splitlines()[1] for head in table.columns)
         assert all(len(line) <= 80 for line in wide.splitlines()[2 + len(table.rows) :])
+
+
+def printed(*names: str, miniature: str | None = None, verbose: bool = False, wide: bool = False) -> str:
+    """What an evaluation prints of planners, in a terminal of 100 columns."""
+    tables = run_tables("demo", runs(names, miniature))
+    return format_tables(tables, wide=wide, verbose=verbose, width=100)
+
+
+def test_the_main_table_of_the_demo_is_one_block_of_a_hundred_columns_and_notes_stand_once_below() -> None:
+    names = [*baselines(), *miniatures()]
+    text = printed(*names, miniature=names[-1])
+    main, *_, notes = text.split("\n\n")
+    lines = main.splitlines()
+    assert lines[0].startswith("demo: effect of the adversary") and all(len(line) <= 100 for line in text.splitlines())
+    assert sum(line.split()[0] in names for line in lines[1:]) == len(names) == 10
+    assert {"difference", "split"} <= {*lines[1].split()} | {*lines[2].split()}
+    assert notes.endswith("--wide shows all columns, -v explains them.")
+    assert text.count(MINIATURE_NOTE) == notes.count(MINIATURE_NOTE) == notes.count(FEW_NOTE) == 1
+
+
+def test_notes_are_those_that_rows_need_and_all_of_them_on_request() -> None:
+    assert MINIATURE_MARK not in printed("a", "b") and MINIATURE_MARK in printed("a", "b", miniature="b")
+    brief, full = printed("a"), printed("a", verbose=True)
+    told = " ".join(full.split())
+    for table in run_tables("demo", runs(["a"])):
+        assert all(" ".join(note.split()) in told for note in table.remarks), table.name
+    assert "Brackets: " in full and "Brackets: " not in brief and "-v explains" not in full
+    assert "--wide" not in printed("a", wide=True) and "-v explains the columns." in printed("a", wide=True)
 
 
 def test_miniatures_are_marked_in_every_form_of_every_table() -> None:
