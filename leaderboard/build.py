@@ -116,9 +116,7 @@ def _format_table_files(tables: Sequence[PlacedTable]) -> Files:
 
 def _build_contents(results: LeaderboardResults, *, site: bool = False, figures: bool = False) -> _LeaderboardContents:
     """Tables and figures; ``README.md`` names the site if there is one."""
-    contents = _LeaderboardContents(
-        FIGURES_FOLDER if figures else f"{SITE_FOLDER}/{FIGURES_FOLDER}" if site else ""
-    )
+    contents = _LeaderboardContents(FIGURES_FOLDER if figures else f"{SITE_FOLDER}/{FIGURES_FOLDER}" if site else "")
     contents.page += ["# Leaderboard", "", "Made from run records by `challenger-bench leaderboard`; do not edit.", ""]
     if site:
         page = f"{SITE_FOLDER}/index.html"
@@ -127,8 +125,9 @@ def _build_contents(results: LeaderboardResults, *, site: bool = False, figures:
             "",
         ]
     contents.page += [
-        f"Definitions of all numbers: `docs/metrics.md` of challenger-bench. Every table as data: `{TABLES_FOLDER}/`, a "
-        "CSV file a kind; [tables.json](tables.json), with what stands behind each number; [tables.tex](tables.tex).",
+        "Definitions of all numbers: `docs/metrics.md` of challenger-bench. Every table as data: "
+        f"`{TABLES_FOLDER}/`, a CSV file a kind; [tables.json](tables.json), with what stands behind each number; "
+        "[tables.tex](tables.tex).",
         "",
     ]
     for sections in SECTIONS:

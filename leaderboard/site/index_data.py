@@ -1,7 +1,6 @@
 """The site's index: everything that is shown without loading a scene, with planners' runs, rates and scores."""
 
 import json
-import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,8 +10,7 @@ from urllib.parse import quote
 from benchmark.machine.storage import sanitise_file_name
 from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.rates import HORIZONS
-from benchmark.records.driving import PDM, SUB_SCORES
+from benchmark.records.driving import PDM
 from benchmark.records.planner_versions import list_file_notes
 from benchmark.records.run import RunRecord
 from benchmark.records.scene_pages import ScenePages
@@ -28,7 +26,7 @@ from leaderboard.site.scene_facts import scene_key
 from leaderboard.site.scene_index import build_scene_index
 from leaderboard.site.scene_words import LEGEND, list_filters, list_orders
 from leaderboard.site.start_page import build_starts
-from leaderboard.site.table_entries import OriginTable, pivot_pairs, sort_protocols, table_entry, take_part
+from leaderboard.site.table_entries import OriginTable, pivot_pairs, shade_pairs, sort_protocols, table_entry, take_part
 from leaderboard.tables.collision import collision_table
 from leaderboard.tables.effect import effect_table
 
@@ -166,8 +164,8 @@ def build_index(
         "tables": [_table_entry(placed, ids[number], origins) for number, placed in enumerate(tables)],
         "tabs": {**_MOVED, **{placed.group: find_tab(placed.group) for placed in tables}},
         "mainTables": [
-            {**table_entry(table, f"main-{number}", origins), "data": name, "apart": first_baseline}
-            for number, (name, table, first_baseline) in enumerate(build_main_tables(results.frames))
+            {**table_entry(table, f"main-{number}", origins), "data": name, "apart": apart, "sorted": column}
+            for number, (name, table, column, apart) in enumerate(build_main_tables(results.frames))
         ],
         "figures": [_figure_entry(figure, written) for figure in figures if figure.path in written],
         **{name: say(results, written) for name, say in LISTS.items()},
@@ -216,15 +214,13 @@ def _table_ids(tables: Iterable[PlacedTable]) -> list[str]:
 
 def _table_entry(placed: PlacedTable, name: str, origins: OriginTable) -> dict[str, Any]:
     table = placed.table
-    heads = list(HORIZONS[:3]) if table.name.startswith("collision-") else []
-    heads = [f"col. {head}" for head in heads] or [*map(str.upper, SUB_SCORES)] * (table.name == PDM)
-    chart = [table.columns.index(head) for head in heads if head in table.columns]
+    pairs = pivot_pairs(table) if find_kind(table.name) == "planners" else None
     return {
-        **table_entry(pivot_pairs(table) if find_kind(table.name) == "planners" else table, name, origins),
+        **table_entry(pairs or table, name, origins),
+        "heat": pairs and shade_pairs(pairs),
         "data": placed.data_name,
         "group": placed.group,
         "judge": table.name.removeprefix("collision-") if table.name.startswith("collision-") else None,
-        "chart": chart,
         "ofPlanner": table.name.startswith(_OF_PLANNER),
     }
 
@@ -257,26 +253,24 @@ LISTS: Final[dict[str, Callable[[LeaderboardResults, frozenset[str]], list[dict[
 """Lists shown on pages, by their names in the index."""
 
 
-def build_main_tables(frames: Iterable[DataSetRuns]) -> Iterator[tuple[str, Table, int]]:
-    """The table that the site opens with: its data set, the table, and its first row of a baseline.
+def build_main_tables(frames: Iterable[DataSetRuns]) -> Iterator[tuple[str, Table, int, int]]:
+    """The table that the site opens with: data set, table, the column that it is sorted by, first row of a baseline.
 
     A row a planner on a split with adversaries, by the paired difference, in the columns that a terminal shows of the
     effect table; where there are no adversaries, those of the collision rates under ``exact``.
     """
     for frame in frames:
-        table, runs = frame.once(effect_table), [run for run in frame.runs if has_adversaries(run)]
-        if table is None:
+        table, head, runs = frame.once(effect_table), "difference", list(filter(has_adversaries, frame.runs))
+        if table is None and EXACT in frame.protocols:
+            table, head = frame.once(collision_table, EXACT), "col. avg"
             runs = [row.record for row in frame.judged(EXACT)]
-            table = frame.once(collision_table, EXACT) if runs else None
         if table is None or table.brief is None or table.cells is None:
             continue
-        cells = table.cells
-        column = table.columns.index("difference" if "difference" in table.columns else "col. avg")
-
-        def rank(row: int) -> tuple[bool, float]:
-            found = cells[row][column]
-            return is_baseline(runs[row].run.planner), math.inf if found is None or found.value is None else found.value
-
-        rows = sorted(range(len(runs)), key=rank)
-        places = [place for place, name in enumerate(table.columns) if name == "any, adv" or place in table.brief.columns]
-        yield frame.data_name, take_part(table, rows, places), sum(not rank(row)[0] for row in rows)
+        column, baselines = table.columns.index(head), [is_baseline(run.run.planner) for run in runs]
+        found = [cell.value if cell else None for cell in (row[column] for row in table.cells)]
+        keys = [(last, value is None, value or 0.0) for last, value in zip(baselines, found, strict=True)]
+        rows = sorted(range(len(runs)), key=keys.__getitem__)
+        places = [
+            place for place, name in enumerate(table.columns) if name == "any, adv" or place in table.brief.columns
+        ]
+        yield frame.data_name, take_part(table, rows, places), places.index(column), baselines.count(False)

@@ -75,6 +75,20 @@ def pivot_pairs(table: Table) -> Table:
     )
 
 
+def shade_pairs(table: Table) -> list[list[str | None]]:
+    """Shades of the cells of `pivot_pairs`: ``p`` above zero, ``m`` below, 1 to 3 by size; ``b`` if beyond chance."""
+    cells = [[None if cell is None or cell.value is None else cell for cell in row] for row in table.cells or ()]
+    most = max((abs(cell.value or 0.0) for row in cells for cell in row if cell), default=0.0) or 1.0
+
+    def shade(cell: CellSource | None) -> str | None:
+        if cell is None or not cell.value:
+            return None
+        beyond = cell.low is not None and cell.high is not None and cell.low * cell.high > 0
+        return f"{'p' if cell.value > 0 else 'm'}{math.ceil(3 * abs(cell.value) / most)}{' b' if beyond else ''}"
+
+    return [[shade(cell) for cell in row] for row in cells]
+
+
 class OriginTable:
     """Common parts of many cells, written once: cells name its place as ``record``.
 
