@@ -212,5 +212,5 @@ def _find_left_over(files: Mapping[str, bytes | Path], folder: Path) -> list[Pat
     places = (TABLES_FOLDER, FIGURES_FOLDER, PAPER_FOLDER, PUBLISHED)
     paths = [path for place in places for path in sorted((folder / place).rglob("*")) if path.suffix in OURS]
     if f"{SITE_FOLDER}/{INDEX_PATH}" in files and (folder / SITE_FOLDER / INDEX_PATH).is_file():
-        paths += [path for path in sorted((folder / SITE_FOLDER).rglob("*")) if path.is_file()]
-    return [path for path in paths if path.relative_to(folder).as_posix() not in files]
+        paths += sorted((folder / SITE_FOLDER).rglob("*"))
+    return [path for path in paths if path.is_file() and path.relative_to(folder).as_posix() not in files]

@@ -271,6 +271,8 @@ def build_main_tables(frames: Iterable[DataSetRuns]) -> Iterator[tuple[str, Tabl
         keys = [(last, value is None, value or 0.0) for last, value in zip(baselines, found, strict=True)]
         rows = sorted(range(len(runs)), key=keys.__getitem__)
         places = [
-            place for place, name in enumerate(table.columns) if name == "any, adv" or place in table.brief.columns
+            place for place, name in enumerate(table.columns) if place in table.brief.columns or name == "any, adv"
         ]
+        if len({run.run.split for run in runs}) == 1:
+            places.remove(table.columns.index("split"))
         yield frame.data_name, take_part(table, rows, places), places.index(column), baselines.count(False)

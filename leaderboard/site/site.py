@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
+from urllib.parse import quote
 
 from benchmark.machine.extension import call_extension, list_offers
 from benchmark.machine.storage import sanitise_file_name
@@ -34,15 +35,16 @@ def build_site_files(
     pages = {scene["key"]: scene.pop("page") for scene in index["scenes"]}
     scenes = build_scene_files(results.sheets, results.runs, pages) | build_drive_files(results.drives, results.sheets)
     assets = {path.name: path.read_bytes() for path in sorted(_ASSETS_FOLDER.iterdir()) if path.suffix in _ASSETS}
-    offered = {offer: _place_page(offer) for offer in list_offers("page")}
-    index["pages"] = list(offered.values())
-    of_extensions = {page["path"]: call_extension("page", offer, results).encode() for offer, page in offered.items()}
+    index["pages"], of_extensions = [], {}
+    for offer in list_offers("page"):
+        tab, name = _place_page(offer)
+        path = f"pages/{sanitise_file_name(name)}.html"
+        index["pages"].append({"tab": tab, "name": name, "path": quote(path)})
+        of_extensions[path] = call_extension("page", offer, results).encode()
     return {INDEX_PATH: encode_script("window.CHALLENGER", index), **assets, **pictures, **scenes, **of_extensions}
 
 
-def _place_page(offer: str) -> dict[str, str]:
-    """An extension's page: ``protocols margins`` is below the tab of protocols, ``margins`` below that of results."""
+def _place_page(offer: str) -> tuple[str, str]:
+    """Tab and name of an extension's page: ``protocols margins`` is below protocols, ``margins`` below results."""
     tab, _, name = offer.partition(" ")
-    if tab not in TABS or not name:
-        tab, name = TABS[0], offer
-    return {"tab": tab, "name": name, "path": f"pages/{sanitise_file_name(name)}.html"}
+    return (tab, name) if tab in TABS and name else (TABS[0], offer)

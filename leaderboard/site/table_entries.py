@@ -9,6 +9,7 @@ from typing import Any
 from benchmark.metrics.disagreement import EXACT
 from benchmark.report.cells import CellSource, format_number
 from benchmark.report.table import Table
+from leaderboard.frame.rows import OFF_SCALE
 
 
 def sort_protocols(names: Iterable[str]) -> list[str]:
@@ -77,16 +78,19 @@ def pivot_pairs(table: Table) -> Table:
 
 def shade_pairs(table: Table) -> list[list[str | None]]:
     """Shades of the cells of `pivot_pairs`: ``p`` above zero, ``m`` below, 1 to 3 by size; ``b`` if beyond chance."""
-    cells = [[None if cell is None or cell.value is None else cell for cell in row] for row in table.cells or ()]
-    most = max((abs(cell.value or 0.0) for row in cells for cell in row if cell), default=0.0) or 1.0
+    cells = [[cell.value or 0.0 if cell else 0.0 for cell in row] for row in table.cells or ()]
+    on_scale = [place for place, name in enumerate(table.columns) if name != OFF_SCALE]
+    most = max((abs(cells[row - 1][column]) for row in on_scale[1:] for column in on_scale), default=0.0) or 1.0
 
     def shade(cell: CellSource | None) -> str | None:
         if cell is None or not cell.value:
             return None
         beyond = cell.low is not None and cell.high is not None and cell.low * cell.high > 0
-        return f"{'p' if cell.value > 0 else 'm'}{math.ceil(3 * abs(cell.value) / most)}{' b' if beyond else ''}"
+        return (
+            f"{'p' if cell.value > 0 else 'm'}{min(math.ceil(3 * abs(cell.value) / most), 3)}{' b' if beyond else ''}"
+        )
 
-    return [[shade(cell) for cell in row] for row in cells]
+    return [[shade(cell) for cell in row] for row in table.cells or ()]
 
 
 class OriginTable:

@@ -255,7 +255,7 @@ function tabPage(here, options) {
   const names = unique([...starts, ...tables].map(({ data }) => data ?? "").filter(Boolean));
   const data = asked(here, "data", names);
   const mine = tables.filter((table) => [data, ""].includes(table.data ?? "") && fits(table));
-  const groups = unique(mine.map((table) => table.group ?? ""));
+  const groups = unique(mine.map((table) => table.group ?? "")).sort((a, b) => Number(/^protocol /.test(b)) - Number(/^protocol /.test(a)));
   const wanted = asked(here, "group", ["", ...groups]);
   const sliced = slicesOf(mine.filter((table) => table.group === SLICES), here);
   const shown = mine.filter((table) => table.group !== SLICES || sliced.tables.includes(table));

@@ -30,14 +30,16 @@ from leaderboard.frame.rows import BASELINES
 from leaderboard.frame.runs import DataSetRuns
 from leaderboard.page.sections import TABS
 from leaderboard.site.index_data import PlacedTable, build_index, build_main_tables
-from leaderboard.site.packing import encode_script
+from leaderboard.site.packing import decode_script, encode_script
 from leaderboard.site.scene_facts import summarise_scenes
 from leaderboard.site.scene_index import build_scene_index, describe_label
 from leaderboard.site.site import INDEX_PATH, build_site_files
 from leaderboard.tables.comparisons import planner_table
+from leaderboard.tables.effect import effect_table
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 from tests.leaderboard.site.big_workspace import DATA_NAME, IMAGE_TAG
 from tests.leaderboard.site.conftest import FIGURE, Site
+from tests.leaderboard.site.reading import with_baseline
 
 ASSETS = Path(__file__).resolve().parents[3] / "leaderboard" / "site" / "assets"
 
@@ -349,20 +351,24 @@ def test_the_index_stays_small(site: Site) -> None:
     assert each < 600
 
 
-def test_the_first_table_is_the_effect_by_the_paired_difference_and_baselines_are_apart(site: Site, index: Any) -> None:
+def test_the_first_table_is_the_effect_by_the_paired_difference_and_baselines_are_apart(site: Site) -> None:
+    results = read_results(with_baseline(site), sheets=site.sheets)
+    index = build_index(results, [], [], frozenset())
     (main,) = index["mainTables"]
-    (effect,) = [table for table in index["tables"] if table["id"].endswith("-effect")]
-    assert main["columns"][main["sorted"]] == "difference" and {"any, adv", "any, unchanged"} <= set(main["columns"])
-    full = {row[0]: dict(zip(effect["columns"], row, strict=True)) for row in effect["rows"]}
+    effect = effect_table(results.frames[0])
+    assert effect is not None and main["columns"][main["sorted"]] == "difference"
+    assert {"any, adv", "any, unchanged"} < set(main["columns"]) and "split" not in main["columns"]
+    full = {row[0]: dict(zip(effect.columns, row, strict=True)) for row in effect.rows}
     assert {row[0] for row in main["rows"]} == set(full)
     for row in main["rows"]:
         assert {head: full[row[0]][head] for head in main["columns"]} == dict(zip(main["columns"], row, strict=True))
-    differences = [float(row[main["sorted"]].replace("−", "-")) for row in main["rows"]]
-    apart = main["apart"]
-    assert differences == sorted(differences[:apart]) + sorted(differences[apart:]) and 0 < apart < len(differences)
-    assert [row[0].endswith("†") for row in main["rows"]] == [place >= apart for place in range(len(differences))]
+    differences, apart = [float(row[main["sorted"]]) for row in main["rows"]], main["apart"]
+    assert differences == sorted(differences[:apart]) + differences[apart:] and main["rows"][apart:][0][0] == "stop"
     (start,) = index["starts"]
     assert "val: recorded scenes" in start["splits"] and "adv: the same recordings" in start["splits"]
+    # Whoever fails the scene that plays: nobody begins it as a baseline.
+    shown = decode_script(bytes(build_site_files(results, [])[f"data/scenes/{start['scene']}.js"]).decode())["shown"]
+    assert shown and all(names and "stop" not in names for names in shown)
 
 
 def test_baselines_are_those_of_the_product() -> None:
@@ -388,7 +394,7 @@ def test_an_extensions_page_hangs_below_a_tab(site: Site, monkeypatch: pytest.Mo
     monkeypatch.setattr("leaderboard.site.site.call_extension", lambda kind, name, results: f"<p>{name}</p>")
     files = build_site_files(read_results(site.records[:1]), [])
     assert value_of(bytes(files[INDEX_PATH]))["pages"] == [
-        {"tab": "protocols", "name": "near misses", "path": "pages/near misses.html"},
+        {"tab": "protocols", "name": "near misses", "path": "pages/near%2520misses.html"},
         {"tab": "results", "name": "mine", "path": "pages/mine.html"},
     ]
     assert files["pages/mine.html"] == b"<p>mine</p>"

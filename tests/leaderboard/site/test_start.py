@@ -10,7 +10,7 @@ from benchmark.records.scene_pages import NO_SCENE_PAGES
 from leaderboard.frame.results import read_results
 from tests.leaderboard.site.browser import Browser
 from tests.leaderboard.site.conftest import Site, write_site
-from tests.leaderboard.site.reading import record_of
+from tests.leaderboard.site.reading import with_baseline
 
 
 def begun(browser: Browser) -> None:
@@ -53,19 +53,20 @@ def test_nothing_moves_unasked_for_those_who_do_not_want_it(browser: Browser) ->
 
 
 def test_the_first_table_has_the_effect_of_the_records_and_baselines_stay_apart_however_it_is_sorted(
-    browser: Browser, site: Site
+    browser: Browser, site: Site, tmp_path: Path
 ) -> None:
-    browser.open("#/")
+    records = with_baseline(site)
+    browser.open("#/", start=write_site(read_results(records, sheets=site.sheets), tmp_path))
     table = browser.driver.find_element(By.CSS_SELECTOR, "main table")
     heads = browser.js("return [...arguments[0].tHead.rows[1].cells].map((cell) => cell.textContent);", table)
     column = heads.index("difference")
     read = "return [...arguments[0].tBodies[0].rows].map((row) => [...row.cells].map((cell) => cell.textContent));"
     rows = browser.js(read, table)
     (label,) = [place for place, row in enumerate(rows) if len(row) == 1]
-    assert all(("†" in row[0]) == (place > label) for place, row in enumerate(rows) if place != label)
+    assert [row[0] for row in rows[label + 1 :]] == ["stop"]
     for row in rows[:label] + rows[label + 1 :]:
-        name = row[0].removesuffix(" †")
-        effect = compute_effect(record_of(site, name, "adv"), record_of(site, name, "val"))
+        of_splits = {record.run.split: record for record in records if record.planner == row[0].removesuffix(" †")}
+        effect = compute_effect(of_splits["adv"], of_splits["val"])
         assert effect is not None and effect.touched is not None and effect.paired is not None
         assert row[heads.index("adversary 3s")] == f"{100 * effect.touched[AT_3_S]:.1f}"
         assert abs(float(row[column].replace("−", "-")) - 100 * (effect.paired.difference.value or 0.0)) < 0.051

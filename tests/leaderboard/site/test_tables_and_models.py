@@ -85,7 +85,7 @@ def test_a_column_sorts_by_number_up_and_down_and_back(browser: Browser) -> None
 
 
 def test_filter_hides_rows_without_its_words(browser: Browser) -> None:
-    browser.open("#/")
+    browser.open("#/planners")
     table = browser.driver.find_element(By.CSS_SELECTOR, '[data-testid^="table-"]')
     every = cells(browser, table, 0)
     browser.choose("filter-text", "PLANNER-01")
@@ -201,12 +201,13 @@ def test_a_planner_called_like_html_is_text(browser: Browser, site: Site) -> Non
 def test_every_tab_shows_its_tables_whose_columns_are_reached_by_scrolling_their_own_box(browser: Browser) -> None:
     browser.open("#/")
     tabs = browser.driver.find_elements(By.CSS_SELECTOR, "[data-testid=nav] a")
-    assert [tab.text for tab in tabs] == ["Results", "Transfer", "Scenes", "Planners", "Generation", "Protocols"]
-    for place, target in enumerate([str(tab.get_attribute("href")).partition("#")[2] for tab in tabs]):
-        browser.go("#" + target)
+    names = {tab.text: f"#{str(tab.get_attribute('href')).partition('#')[2]}" for tab in tabs}
+    assert list(names) == ["Results", "Transfer", "Scenes", "Planners", "Generation", "Protocols"]
+    for name, target in names.items():
+        browser.open(target)
         assert browser.all("error") == []
         current = browser.driver.find_elements(By.CSS_SELECTOR, "[data-testid=nav] a[aria-current]")
-        assert [tab.get_attribute("href") for tab in current] == [tabs[place].get_attribute("href")]
+        assert [tab.text for tab in current] == [name]
         assert browser.driver.find_elements(By.CSS_SELECTOR, "main table, main article")
         lost = browser.js(
             """
@@ -229,8 +230,8 @@ def test_one_protocol_at_a_time_is_chosen_and_the_choice_is_a_link(browser: Brow
     for name in names:
         browser.choose("filter-protocol", name)
         titles = [title.text for title in browser.driver.find_elements(By.CSS_SELECTOR, ".table-head h3")]
-        judged = [title for title in titles if "protocol " in title]
-        assert judged and all(title.endswith(f"protocol {name}") for title in judged)
+        judged = [title.rpartition("protocol ")[2].split()[0] for title in titles if "protocol " in title]
+        assert set(judged) == {name}
         assert any("measured by exact" in title for title in titles)
     browser.open(browser.route)
     assert browser.value("filter-protocol") == names[-1]
@@ -251,7 +252,7 @@ def test_one_protocol_at_a_time_is_chosen_and_the_choice_is_a_link(browser: Brow
 )
 def test_addresses_of_earlier_sites_lead_to_the_new_places(browser: Browser, before: str, now: str) -> None:
     browser.open(before)
-    assert browser.all("error") == [] and browser.route.partition("&group")[0] == now
+    assert browser.all("error") == [] and browser.route.startswith(now)
     assert browser.driver.find_elements(By.CSS_SELECTOR, "main table")
 
 
