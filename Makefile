@@ -5,47 +5,39 @@ export OMP_NUM_THREADS ?= 1
 # Tests start many processes: each would compile everything anew where this is set.
 unexport PYTHONDONTWRITEBYTECODE
 
-PIP_OPTIONS := --disable-pip-version-check
-PIP := $(BIN)/python -m pip $(PIP_OPTIONS)
+INSTALL := $(PYTHON) .ci/install.py
 # An environment that holds the built wheel and what it asks for, nothing else.
 INSTALLED := build/installed
-# PyTorch's own index has builds without CUDA, which save 6 GB where there is no NVIDIA GPU.
+# PyTorch's own index of builds without CUDA, which save 6 GB where there is no NVIDIA GPU.
 TORCH_CPU ?= https://download.pytorch.org/whl/cpu
 
 .PHONY: setup browser demo paper test test-extensions test-all test-fast test-slow core-alone check site-check wheel wheel-check docs bench gpu attack clean
 
+# The product alone, for make demo; set-up adds the tools of the tests and every extra that they need.
 setup: $(VENV)/.complete
 
-$(VENV)/.complete: pyproject.toml constraints.txt
+$(VENV)/.product: pyproject.toml constraints.txt
 	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11))" || \
 	  { echo "challenger-bench needs Python 3.11 or newer, and $(PYTHON) is older; try: make PYTHON=python3.12"; exit 2; }
-	@echo "setting up $(CURDIR)/$(VENV): torch, nuscenes-devkit, ray, transformers, the tools of the tests and what they need"
-	@echo "about 0.6 GB to fetch and 2.3 GB on disk, minutes; CUDA libraries, where they come along, are some 6 GB more on disk"
+	@echo "setting up $(CURDIR)/$(VENV): PRODUCT"
 	@$(PYTHON) -m venv $(VENV)
-	@$(call torch_without_cuda,$(BIN)/python)
-	@$(PIP) install --quiet --constraint constraints.txt --editable ".[dev]"
+	@$(INSTALL) --torch-from $(TORCH_CPU) $(VENV) --constraint constraints.txt --editable .
 	@$(BIN)/python -c "import torch; print('set up, with torch', torch.__version__)"
 	@touch $@
 
-# An index that cannot be reached costs 5 seconds; whatever goes wrong here, pip's own choice comes after it.
-define torch_without_cuda
-if [ "$$(uname -s)" != Linux ]; then :; \
-elif [ -e /dev/nvidia0 ] || command -v nvidia-smi >/dev/null 2>&1; then echo "an NVIDIA GPU is here: torch with CUDA"; \
-elif ! $(1) -c "import signal, urllib.request as u; signal.alarm(5); u.urlopen('$(TORCH_CPU)/torch/')" >/dev/null 2>&1; \
-then echo "no GPU here, but PyTorch's index of builds without CUDA does not answer: torch is what pip finds"; \
-elif $(1) -m pip $(PIP_OPTIONS) install --quiet --no-deps --index-url $(TORCH_CPU) $$(grep -m1 '^torch==' constraints.txt); \
-then echo "no GPU here: torch without CUDA, from PyTorch's own index"; \
-else echo "PyTorch's index has no build without CUDA for this machine: torch is what pip finds"; fi
-endef
+$(VENV)/.complete: $(VENV)/.product
+	@echo "adding what the tests need: DEV"
+	@$(INSTALL) $(VENV) --constraint constraints.txt --editable ".[dev]"
+	@touch $@
 
 # Debian's packages, as root or by sudo where it asks no password.
 browser:
 	@sh tests/leaderboard/site/get_chromium.sh
 
-demo: setup
+demo: $(VENV)/.product
 	$(BIN)/challenger-bench demo
 
-paper: setup
+paper: $(VENV)/.product
 	$(BIN)/challenger-bench demo --full
 
 check: setup
@@ -102,12 +94,11 @@ wheel: setup
 wheel-check: wheel
 	rm -rf $(INSTALLED)
 	$(PYTHON) -m venv $(INSTALLED)
-	@$(call torch_without_cuda,$(INSTALLED)/bin/python)
-	$(INSTALLED)/bin/python -m pip $(PIP_OPTIONS) install --quiet --constraint constraints.txt dist/*.whl
+	@$(INSTALL) --torch-from $(TORCH_CPU) $(INSTALLED) --constraint constraints.txt dist/*.whl
 	$(INSTALLED)/bin/python -I tests/packaging/check_installed.py --demo
 
 $(VENV)/.docs: $(VENV)/.complete
-	@$(PIP) install --quiet --constraint constraints.txt --editable ".[docs]"
+	@$(INSTALL) $(VENV) --constraint constraints.txt --editable ".[docs]"
 	@touch $@
 
 # build/docs/index.html: opens from disk. Then every link is followed, and the longer lines of code of the pages run.

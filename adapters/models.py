@@ -10,10 +10,12 @@ from dataclasses import dataclass, field, replace
 from importlib import import_module
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from benchmark.errors import InputError, did_you_mean
-from benchmark.records.run_schema import PlannerInput
+
+if TYPE_CHECKING:
+    from benchmark.records.run_schema import PlannerInput
 
 PACKAGED: Final = Path(__file__).parent / "weights"
 """Folder of the weights that come with this package."""
@@ -87,7 +89,7 @@ class Model:
     miniature: Miniature | None = None
     published_as: str | None = None
     native_protocol: str | None = None
-    wants: tuple[PlannerInput, ...] = ("images", "motion")
+    wants: "tuple[PlannerInput, ...]" = ("images", "motion")
     sees: str = ""
     requires: str | None = None
     extra: str = ""

@@ -10,7 +10,8 @@ from typing import Any, Final, Literal
 
 from adapters.checkpoints.cache import cached_weights, weights_folder
 from adapters.models import MODELS, Model, baselines
-from adapters.registry import installed_planners, planner_factory
+from adapters.planners.names import installed_planners
+from adapters.registry import planner_factory
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.report.cells import MINIATURE_MARK, MINIATURE_WORDS, TableCell
 from benchmark.report.table import Table, build_table

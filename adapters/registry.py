@@ -10,14 +10,21 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, TextIO
 
 from adapters.models import MODELS, published_as
-from benchmark.errors import InputError, did_you_mean
-from benchmark.machine.address import Address, is_address
-from benchmark.machine.extension import OFFERS, import_reference, list_offers
+from adapters.planners.names import (
+    add_current_folder,
+    installed_planners,
+    is_third_party,
+    make_import_error,
+    require_known,
+)
+from benchmark.errors import InputError
+from benchmark.machine.address import is_address
+from benchmark.machine.extension import OFFERS, import_reference
 from benchmark.machine.several_devices import find_own_device
 from benchmark.machine.storage import file_sha256
 from benchmark.planning import Planner
@@ -27,7 +34,6 @@ from benchmark.runs.planner_facts import build_planner_facts
 from benchmark.sandbox.limits import SandboxLimits
 from benchmark.sandbox.planner import PlannerIdentity, PlannerSpec, find_identity, make_sandboxed_planner
 
-ENTRY_POINT_GROUP = "challenger_bench.adapters"
 _MAKER_OF_NETWORKS = "adapters.checkpoints.loading:build_native_planner"
 _MAKER_OVER_HTTP = OFFERS["planner scheme"]["http"]
 _CONTRACT = ("reset", "plan")
@@ -133,11 +139,6 @@ def planner_factory(
     )
 
 
-def is_third_party(name: str) -> bool:
-    """Whether a planner comes from another package, and runs in a subprocess."""
-    return name not in MODELS and not is_address(name)
-
-
 def build_planner_with_facts(name: str, **given: Any) -> tuple[Planner, PlannerFacts]:
     """Build a planner in this process, and say who it is."""
     built = build_planner(name, **given)
@@ -188,7 +189,7 @@ def build_planner(
     elif is_address(name):
         maker = partial(import_reference(_MAKER_OVER_HTTP), name)
     else:
-        _add_current_folder()
+        add_current_folder()
         maker = _import(name, name)
     if checkpoint is not None and not checkpoint.exists():
         raise InputError(f"there is no checkpoint {checkpoint}")
@@ -201,20 +202,6 @@ def build_planner(
     return _check_contract(_build(maker, name, offered), name)
 
 
-def require_known(name: str) -> None:
-    """Raise `InputError` for what names no planner; nothing of it is imported."""
-    known = (*MODELS, *installed_planners())
-    if is_address(name):
-        if (called := Address.of(name, "--model").name) in known:
-            raise InputError(f"{called} is already the name of a planner; give the server at {name} another name")
-        return
-    if name not in known and ":" not in name:
-        raise InputError(
-            f"unknown model {name!r}; {did_you_mean(name, known)}use {', '.join(known)}, or your own with --model "
-            "package.module:Class"
-        )
-
-
 def describe_maker(name: str) -> str:
     """Class or function that made a planner, as ``package.module:name``."""
     installed = installed_planners()
@@ -225,31 +212,13 @@ def describe_maker(name: str) -> str:
     return f"{installed[name].module}:{installed[name].attr}" if name in installed else name
 
 
-def installed_planners() -> dict[str, EntryPoint]:
-    """Planners of installed packages, by name; built-in names cannot be taken over."""
-    offered = list_offers("planner", MODELS)
-    points = [EntryPoint(name, reference, ENTRY_POINT_GROUP) for name, reference in offered.items()]
-    points += entry_points(group=ENTRY_POINT_GROUP)
-    return {point.name: point for point in sorted(points, key=lambda point: point.name) if point.name not in MODELS}
-
-
-def _add_current_folder() -> None:
-    """Find modules in the current folder as ``python -m`` does; an installed command does not look there."""
-    folder = str(Path.cwd())
-    if not {"", folder} & set(sys.path):
-        sys.path.insert(0, folder)
-
-
 def _import(reference: str, name: str) -> Any:
     module_name, _, attribute = reference.partition(":")
     try:
         with _redirect_stdout():
             module = importlib.import_module(module_name)
     except ImportError as error:
-        raise InputError(
-            f"model {name!r}: cannot import {module_name} ({error}); run the command in the folder that holds "
-            f"{module_name.partition('.')[0]}, put that on PYTHONPATH, or install it in this environment"
-        ) from error
+        raise make_import_error(name, module_name, str(error)) from error
     except (ValueError, TypeError) as error:
         if not module_name or module_name.startswith("."):
             raise InputError(f"model {name!r} is not of the form package.module:Class") from error

@@ -6,7 +6,7 @@ same variants; the same command goes on where it was broken off, from the list o
 runs in a process of its own, and is fine if the command answers it with exit code 2 and one sentence that names the
 path, or finds in it what it finds in the valid file, or the variant is a valid file with another content. Anything else
 fell, is listed with the command that repeats it, and makes the exit code 1. Requests to our own server stand behind all
-command lines (``--doors --kind "requests to our server"``). ``docs/hostile-input.md`` has the figures.
+command lines (``--doors --kind "requests to our server"``). ``docs/studies/attacks.md`` has figures.
 """
 
 import argparse

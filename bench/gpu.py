@@ -3,7 +3,7 @@
 Run as ``python bench/gpu.py`` (``make gpu``). Each piece runs in a process of its own and leaves its figures, with the
 machine, card, driver, torch and commit, in a file of its own; a piece that is done is not run again. ``--list`` says
 what is done and what is left, ``--piece NAME`` runs one anew, ``--minutes 9`` ends after so long, and ``--table``
-prints the Markdown table for ``docs/performance.md``. ``--device cpu --tiny`` runs all of it anywhere, as a trial: the
+prints the table for ``docs/studies/speed.md``. ``--device cpu --tiny`` runs all of it anywhere, as a trial: the
 same classes in the sizes of the miniatures. Weights are random, on which speed does not depend.
 """
 

@@ -2,8 +2,8 @@
 
 Run as ``python bench/soak.py``, with ``--data ROOT`` on recordings of one's own. The scenes of a data set, 20 where it
 is made here, come again and again, each time for another record. Memory at the end must be within 10 % of that after 20
-scenes, and no file descriptor, thread or child may be left; otherwise the exit code is 1. ``docs/scale.md`` has the
-figures.
+scenes, and no file descriptor, thread or child may be left; otherwise the exit code is 1. The figures:
+``docs/studies/large-data-sets.md``.
 """
 
 import argparse

@@ -91,6 +91,7 @@ from benchmark.extensions.submissions.checking import check_submission as check_
 from benchmark.fairness.split_assessment import judge_split as judge_split
 from benchmark.machine.environment import checks as doctor
 from benchmark.machine.workspace import Workspace as Workspace
+from benchmark.metrics.failures import find_failures as find_failures
 from benchmark.metrics.frames import samples_frame as samples_frame
 from benchmark.metrics.transfer import transfer as transfer
 from benchmark.planning import (

@@ -13,7 +13,11 @@ class InputError(Exception):
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Question on the closest three names at most, ``did you mean uniad or uniad-mini? ``; empty if none is close."""
-    close = difflib.get_close_matches(name, sorted(set(known)))
+    """Question on the closest three names at most, ``did you mean uniad or uniad-mini? ``; empty if none is close.
+
+    Capitals make no difference.
+    """
+    spelled = {each.lower(): each for each in sorted(set(known))}
+    close = [spelled[match] for match in difflib.get_close_matches(name.lower(), sorted(spelled))]
     *others, last = close or [""]
     return f"did you mean {', '.join(others)}{' or ' if others else ''}{last}? " if last else ""

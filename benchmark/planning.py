@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from pathlib import Path
-from typing import Literal, Protocol, TypeGuard, runtime_checkable
+from typing import Any, Literal, Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,24 @@ class CameraView:
     timestamp_us: int
     global_T_ego: Floats
     load: Callable[[], NDArray[np.uint8]]
+
+
+class NoViews(dict[str, CameraView]):
+    """Images of a world without cameras: none; ``looked`` says whether a planner has looked for some."""
+
+    looked: bool = False
+
+
+def _note_look(name: str) -> Callable[..., Any]:
+    def looking(self: NoViews, *given: Any) -> Any:
+        self.looked = True
+        return getattr(dict, name)(self, *given)
+
+    return looking
+
+
+for _name in ("__getitem__", "__iter__", "__len__", "__contains__", "get", "items", "keys", "values"):
+    setattr(NoViews, _name, _note_look(_name))
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,13 +155,13 @@ class Plan:
 
     Attributes:
         waypoints: (N, 2) metres at 0.5 s steps, 6 (3 s) to 16 (8 s) of them, in ``frame`` at the sample's time.
-        frame: See `PlanFrame`.
+        frame: See `PlanFrame`; its value, ``"ego"`` or ``"lidar"``, will do.
         modes: (M, 6, 2) or (M, N, 2) all alternatives, or ``None``.
         mode_scores: (M,) their scores, or ``None``.
         forecasts: Expected motion of others, or ``None``.
 
     Raises:
-        InputError: If the waypoints are not (6 to 16, 2) finite numbers within 10 km.
+        InputError: If the waypoints are not (6 to 16, 2) finite numbers within 10 km, or there is no such frame.
     """
 
     waypoints: Floats
@@ -153,6 +171,8 @@ class Plan:
     forecasts: Forecasts | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.frame, PlanFrame):
+            object.__setattr__(self, "frame", _find_frame(self.frame))
         shape = self.waypoints.shape
         if len(shape) != 2 or shape[1] != 2 or not PLAN_STEPS <= shape[0] <= LONGEST_PLAN_STEPS:
             raise InputError(
@@ -184,6 +204,14 @@ class Plan:
             (N, 2) metres.
         """
         return waypoints_in_lidar(self.waypoints, self.frame, lidar_ahead_m)
+
+
+def _find_frame(given: object) -> PlanFrame:
+    """The frame that a plan names in words."""
+    if isinstance(given, str) and given in set(PlanFrame):
+        return PlanFrame(given)
+    said = repr(given) if isinstance(given, str) else f"a {type(given).__name__}"
+    raise InputError(f"the frame of a plan is {said}; use 'ego' (x forward, y left) or 'lidar' (x right, y forward)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,6 +256,10 @@ class PlannerAwayError(PlannerGoneError):
     """The same, but it may come back, and then the scene begins again (`RemotePlanner`)."""
 
 
+class NoViewsError(InputError):
+    """A planner needs images, and the world that it drives in has no cameras: not a failure of the planner."""
+
+
 class PlannerLateError(InputError):
     """A planner elsewhere took too long; how long it may take is the machine's matter."""
 
@@ -237,12 +269,14 @@ class PlannerFailedError(Exception):
 
     Attributes:
         text: The traceback there, or what happened if there is none.
+        looked: Whether it had looked for images where there are none (`NoViews`).
     """
 
-    def __init__(self, line: str, text: str) -> None:
+    def __init__(self, line: str, text: str, *, looked: bool = False) -> None:
         """The exception in one line, and with its traceback."""
         super().__init__(line)
         self.text = text
+        self.looked = looked
 
 
 class PlannerLostError(PlannerFailedError):

@@ -1,5 +1,6 @@
 """Which model really runs, and whether it has weights; no file is opened, and torch not imported, where none is."""
 
+from collections.abc import Collection
 from pathlib import Path
 
 from adapters.models import MODELS, miniatures
@@ -23,6 +24,15 @@ def miniature_of(name: str) -> str | None:
         model for model in miniatures().values() if full in model.small.stands_for and model.packaged.is_file()
     )
     return next((model.name for model in candidates), None)
+
+
+def find_recorded_name(name: str, ran: Collection[str]) -> str | None:
+    """Name under which records have a planner: its own, its full one, or the miniature's that ran in its place.
+
+    ``ran`` are the planners that have records; ``None`` where it is none of them.
+    """
+    own = MODELS[name].name if name in MODELS else name
+    return next((known for known in (name, own, miniature_of(own)) if known is not None and known in ran), None)
 
 
 def has_weights(name: str) -> bool:

@@ -227,7 +227,7 @@ def find_piece(pieces: tuple[Piece, ...], name: str) -> Piece:
 
 
 def markdown(setting: Setting, pieces: tuple[Piece, ...]) -> str:
-    """The figures as a Markdown table for ``docs/performance.md``; what was not run is there too."""
+    """The figures as a Markdown table for ``docs/studies/speed.md``; what was not run is there too."""
     lines = ["| piece | figures | card | torch | commit |", "|---|---|---|---|---|"]
     for piece in pieces:
         kept = cached_outcome(setting, piece)

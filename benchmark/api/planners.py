@@ -82,10 +82,11 @@ def find_runnable_model(name: str, checkpoint: Path | None = None, *, data: str 
     Raises:
         InputError: If there is no such planner, or it is a network that has no weights.
     """
-    from adapters.checkpoints.stand_in import require_weights, stand_in
-    from adapters.registry import require_known
+    from adapters.planners.names import require_known
 
     require_known(name)
+    from adapters.checkpoints.stand_in import require_weights, stand_in
+
     chosen = stand_in(name, checkpoint, str(data))
     require_weights(chosen, checkpoint)
     return chosen
@@ -220,7 +221,7 @@ class PlannerSource:
     @property
     def supervision(self) -> "SandboxLimits":
         """Limits of planners of other packages; `InputError` where there is no such planner or no such number."""
-        from adapters.registry import is_third_party
+        from adapters.planners.names import is_third_party
         from benchmark.sandbox.limits import SandboxLimits
 
         given = {"--sample-limit": self.sample_limit, "--memory-limit": self.memory_limit}

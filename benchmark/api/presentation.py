@@ -66,9 +66,10 @@ def write_leaderboard(
     Raises:
         InputError: If there is nothing to show, records cannot stand in one table, or files cannot be written.
     """
+    results = _collect_results(out, records)
     from leaderboard.build import write_leaderboard as write
 
-    return write(_collect_results(out, records), to or out / "leaderboard", site=site, figures=figures)
+    return write(results, to or out / "leaderboard", site=site, figures=figures)
 
 
 def stale_leaderboard(
@@ -95,7 +96,6 @@ def _collect_results(out: Path, folders: "Sequence[Path] | None") -> "Leaderboar
     from benchmark.records.reproduction import find_reproductions, with_reproductions
     from benchmark.records.run import find_records
     from benchmark.records.scene_pages import find_scene_pages
-    from leaderboard.frame.results import read_results
 
     space = workspace(out)
     quality = _with_tables("quality", find_quality(space.quality_root()))
@@ -113,6 +113,8 @@ def _collect_results(out: Path, folders: "Sequence[Path] | None") -> "Leaderboar
     records = [] if no_runs else with_reproductions(find_records(*roots), find_reproductions(roots))
     records = [with_cost(record, roots, space.timings_of) for record in records]
     challenges = _with_tables("challenges", find_scores(space.challenge_root()))
+    from leaderboard.frame.results import read_results
+
     return read_results(records, quality, sheets, ablations, drives, challenges)
 
 

@@ -108,15 +108,21 @@ class DataSource:
 
         A missing data set, split or scene is refused, and a build without room or right.
         """
-        from benchmark.datasets.split_names import NoSuchSplitError
-        from benchmark.datasets.statistics import list_scenes
+        from benchmark.datasets.tables import find_variant_folders, find_version
         from benchmark.machine.workspace import format_generate_options, is_finished, is_generated
 
         if self._is_mini:
             return _preview_embedded(split, self.out, scenes, limit)
         name = Path(self.data).resolve().name
         split_folder = workspace(self.out).split_root(name, split)
-        if is_generated(split) and is_finished(split_folder):
+        is_built = is_generated(split) and is_finished(split_folder)
+        if not is_built and not find_variant_folders(self._root):
+            find_version(self._root, self.tables)
+        # Slow to import; what is no data set is refused before.
+        from benchmark.datasets.split_names import NoSuchSplitError
+        from benchmark.datasets.statistics import list_scenes
+
+        if is_built:
             _require_not_rejected(scenes, split_folder, split)
             return SourcePreview(_choose_scenes(list_scenes(split_folder, split), split, scenes, limit))
         all_scenes = self._listed(None)
@@ -124,6 +130,8 @@ class DataSource:
             of_split = self._listed(split)
             _require_not_rejected(scenes, self._root, split, self.tables)
         except NoSuchSplitError as error:
+            if is_generated(split.lower()) and split != split.lower():
+                raise InputError(f"{name} has no split {split!r}; did you mean {split.lower()}?") from error
             if not is_generated(split) or not all_scenes:
                 raise
             raise InputError(
@@ -176,12 +184,14 @@ def estimate_town_bytes(scenes: int, size: tuple[int, int] = DEFAULT_IMAGE_SIZE,
 
 def _preview_embedded(split: str, out: Path, scenes: Sequence[str] | None, limit: int | None) -> SourcePreview:
     """The embedded data set, of which everything is known before it is built."""
-    from benchmark.datasets.statistics import list_scenes
-    from benchmark.machine.workspace import EMBEDDED, GENERATED_SPLITS, cache_root, format_generate_options, is_finished
-    from benchmark.records.attempts import parse_seed
-    from generation.sources.mini import TownSettings
-    from generation.sources.town.scenes import list_town_scene_names
-    from generation.splits.packaged import read_newest_split
+    from benchmark.machine.workspace import (
+        EMBEDDED,
+        GENERATED_SPLITS,
+        cache_root,
+        format_generate_options,
+        is_finished,
+    )
+    from benchmark.records.seed_splits import parse_seed
 
     splits = ("val", *GENERATED_SPLITS)
     if parse_seed(split) is not None and not is_finished(made_by_seed := workspace(out).split_root(EMBEDDED, split)):
@@ -194,6 +204,12 @@ def _preview_embedded(split: str, out: Path, scenes: Sequence[str] | None, limit
             f"the embedded data set mini has no split {split!r}; {did_you_mean(split, splits)}it has "
             f"{', '.join(splits)}"
         )
+    # Slow to import; a split of another name is refused before.
+    from benchmark.datasets.statistics import list_scenes
+    from generation.sources.mini import TownSettings
+    from generation.sources.town.scenes import list_town_scene_names
+    from generation.splits.packaged import read_newest_split
+
     settings, split_folder = TownSettings(), workspace(out).split_root(EMBEDDED, split)
     root, recorded = cache_root() / settings.folder_name(EMBEDDED), list_town_scene_names("val", settings.val_scenes)
     builds = []

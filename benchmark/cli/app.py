@@ -7,6 +7,7 @@ import codecs
 import errno
 import io
 import sys
+import traceback
 import unicodedata
 from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any, Final, NoReturn
@@ -19,6 +20,7 @@ from benchmark.cli import (
     demo,
     drive,
     evaluate,
+    failures,
     generate,
     models,
     packages,
@@ -180,6 +182,7 @@ add_command_of_extension("serve", _GROUPS)
 add_command(app, "models", models.models_command)
 add_command(app, "rescore", rescoring.rescore_command)
 add_command(app, "transfer", rescoring.transfer_command)
+add_command(app, "failures", failures.failures_command)
 add_command_of_extension("quality", _GROUPS)
 add_command(app, "sheets", show.sheets_command)
 add_command_of_extension("film", _GROUPS)
@@ -189,6 +192,7 @@ add_command_of_extension("reproduce", _GROUPS)
 add_command(app, "doctor", verify.doctor_command)
 add_commands_of_others(_GROUPS)
 
+_INTERRUPTED: Final = 130
 _LONGEST_SENTENCE: Final = 1000
 _PATH_ERRNOS: Final = frozenset(
     (errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR)
@@ -197,7 +201,7 @@ _PATH_ERRNOS: Final = frozenset(
 
 
 def main() -> None:
-    """Run the command line; errors of the user are one sentence and exit code 2."""
+    """Run the command line; errors of the user are one sentence and exit code 2, with a traceback if ``--debug``."""
     collect_rarely()
     replace_unencodable_characters()
     debug = "--debug" in sys.argv
@@ -207,30 +211,31 @@ def main() -> None:
         _require_text(arguments)
         code = command.main(arguments, prog_name="challenger-bench", standalone_mode=False)
     except InputError as error:
-        if debug:
-            raise
-        code = _fail(str(error))
+        code = _fail(str(error), debug=debug)
     except ModuleNotFoundError as error:
         name = find_absent_extension(error)
-        if debug or name is None:
+        if name is None:
             raise
-        code = _fail(str(make_absent_error(name)))
+        code = _fail(str(make_absent_error(name)), debug=debug)
     except OSError as error:
-        if debug or error.errno not in _PATH_ERRNOS or error.filename is None:
+        if error.errno not in _PATH_ERRNOS or error.filename is None:
             raise
-        code = _fail(f"cannot use {error.filename}: {error.strerror}; choose another path")
+        code = _fail(f"cannot use {error.filename}: {error.strerror}; choose another path", debug=debug)
     except RuntimeError as error:
         # `Path.resolve` raises this before Python 3.13 where a link points to itself.
-        if debug or not str(error).startswith("Symlink loop"):
+        if not str(error).startswith("Symlink loop"):
             raise
-        code = _fail(f"cannot use {str(error).partition(' from ')[2]}: its links form a loop; choose another path")
+        where = str(error).partition(" from ")[2]
+        code = _fail(f"cannot use {where}: its links form a loop; choose another path", debug=debug)
     except typer.TyperException as error:
         message = str(error.format_message() if hasattr(error, "format_message") else error)
         # Without a command Typer raises its help text, which has several lines and is not an error.
         code = _fail(message) if "\n" not in message else _help(message)
     except (KeyboardInterrupt, typer.Abort):
+        code = _INTERRUPTED
+    if code == _INTERRUPTED:
+        # Typer makes it of an interrupt that it sees first.
         typer.echo("interrupted; finished work is kept, the same command resumes", err=True)
-        code = 130
     sys.exit(code if isinstance(code, int) else 0)
 
 
@@ -241,7 +246,9 @@ def _require_text(arguments: list[str]) -> None:
             raise InputError(f"{argument} is not UTF-8 text; use a UTF-8 name")
 
 
-def _fail(sentence: str) -> int:
+def _fail(sentence: str, *, debug: bool = False) -> int:
+    if debug:
+        traceback.print_exc()
     typer.echo(f"error: {_sanitise_sentence(sentence)}", err=True)
     return 2
 

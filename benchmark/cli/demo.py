@@ -123,7 +123,7 @@ def full_demo(out: Path = api.OUT, to: Path = RESULTS, *, workers: int = 0) -> l
     from leaderboard.results import write_results
 
     made_from, source, processes = (
-        _collect_sources(),
+        describe_sources(),
         api.open_data(EMBEDDED, workers=workers),
         api.worker_count(workers),
     )
@@ -154,10 +154,10 @@ def stale_demo(to: Path = RESULTS) -> list[str]:
     """Why the results of `full_demo` are not what would be measured now: one sentence a reason, none if current."""
     from leaderboard.results import find_stale_results
 
-    return find_stale_results(to, _collect_sources())
+    return find_stale_results(to, describe_sources())
 
 
-def _collect_sources() -> dict[str, Any]:
+def describe_sources() -> dict[str, Any]:
     """Sources that the measured results depend on: miniatures, town, frozen split, renderer, search and protocols."""
     from dataclasses import asdict
 

@@ -9,7 +9,7 @@ import typer
 
 from benchmark import api
 from benchmark.cli import options as shared
-from benchmark.cli.options import make_executor, parse_name_list
+from benchmark.cli.options import make_executor, parse_name_list, parse_shard
 from benchmark.cli.output import (
     print_json,
     print_next_steps,
@@ -133,7 +133,6 @@ def drive_command(options: DriveOptions) -> None:
     """Drive planners in closed loop: the plan is driven and the world answers; the same command resumes."""
     from benchmark.machine.path_checks import require_place
     from benchmark.machine.several_devices import count_workers, require_one_device
-    from benchmark.runs.units import Shard
 
     _require_engine(options)
     names = tuple(dict.fromkeys([*options.model, *(BASELINES if options.baselines else ())]))
@@ -148,7 +147,7 @@ def drive_command(options: DriveOptions) -> None:
             raise InputError(f"{planner} needs images, and --sensor none provides none; add --sensor schematic")
     planners.require_frame()
     planners.require_servers(options.sensor, tensors=options.accept_torch_tensors)
-    shard = None if options.shard is None else Shard.named(options.shard)
+    shard = parse_shard(options.shard)
     if options.executor != "local":
         require_one_device(options.device, "a Ray cluster assigns GPUs to its tasks")
     place = make_executor(options.executor, options.address, count_workers(options.workers, options.device))
@@ -261,15 +260,16 @@ def _drive_planners(
 
     blind_places = [place for place, planner in enumerate(factories) if _is_blind(planner)]
     records: dict[int, DriveRecord] = {}
+    # They come last: another planner may turn out to need images, and is refused at its first plan.
+    for place, planner in enumerate(factories):
+        if place not in blind_places:
+            records[place] = drive_split(data, split, planner, root, how)
     if blind_places:
         blind_settings = _settings_of(factories[blind_places[0]], how)
         records |= zip(
             blind_places,
             drive_planners(data, split, [factories[place] for place in blind_places], root, blind_settings),
         )
-    for place, planner in enumerate(factories):
-        if place not in records:
-            records[place] = drive_split(data, split, planner, root, how)
     return [records[place] for place in range(len(factories))]
 
 

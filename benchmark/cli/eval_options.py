@@ -59,7 +59,9 @@ class EvalOptions:
     results_format: Annotated[
         str, Option("With --results: auto tells it by content (docs/your-results.md).", "Input", names="--format")
     ] = "auto"
-    name: Annotated[str | None, Option("With --results: name of the planner in tables.", "Input")] = None
+    name: Annotated[
+        str | None, Option("Name of the planner in records and tables, if not its own or the file's.", "Input")
+    ] = None
     native: Annotated[
         str | None,
         Option("With --plans or --results: the protocol of the repository that the planner comes from.", "Input"),

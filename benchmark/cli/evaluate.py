@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import typer
 
 from benchmark import api
 from benchmark.cli.eval_options import EvalOptions
-from benchmark.cli.options import parse_name_list
+from benchmark.cli.options import parse_name_list, parse_shard
 from benchmark.cli.output import (
     print_json,
     print_next_steps,
@@ -24,6 +24,7 @@ from benchmark.errors import InputError
 from benchmark.report.words import pluralise
 
 if TYPE_CHECKING:
+    from adapters.registry import NamedPlanner
     from adapters.result_files.recognition import RecognisedFile
     from benchmark.api import PlannerSource
     from benchmark.datasets.roots import DataSet
@@ -32,30 +33,33 @@ if TYPE_CHECKING:
     from benchmark.records.run import RunRecord
     from benchmark.runs.plan_rows import PlannerFactory
 
+_LONGEST_NAME: Final = 100
+"""Characters of a planner's name in tables."""
+
 
 def open_result_files(options: "EvalOptions") -> "list[RecognisedFile]":
     """Result files of ``--results`` with their formats; the file of ``--plans`` is checked too, before any build."""
-    from adapters.plan_file import read_plan_file
     from adapters.result_files.recognition import AUTO, recognise, require_format
     from adapters.result_files.writing.formats import require_writable
     from benchmark.machine.path_checks import require_file
     from benchmark.runs.planner_facts import require_known_native
 
-    plans, paths, wanted, name = options.plans, options.results, options.results_format, options.name
+    plans, paths, wanted = options.plans, options.results, options.results_format
     if plans is not None:
         require_known_native(options.native, f"plan file {plans}")
         require_file(plans, "--plans", (".csv", ".parquet", ".json"))
+        # Slow to import.
+        from adapters.plan_file import read_plan_file
+
         read_plan_file(plans)
     if options.dump_results is not None:
         require_writable(options.dump_results)
     if not paths:
-        if wanted != AUTO or name is not None:
-            raise InputError(f"{'--name' if name is not None else '--format'} needs --results; add it")
+        if wanted != AUTO:
+            raise InputError("--format needs --results; add it")
         return []
     require_format(wanted)
     require_known_native(options.native, f"result file {paths[0]}")
-    if name is not None and (not name.strip() or not name.isprintable() or len(name) > 100):
-        raise InputError("--name must be printable text of at most 100 characters")
     return [recognise(path, wanted) for path in paths]
 
 
@@ -72,7 +76,7 @@ def load_file_planners(
     from adapters.result_files.planner import result_file_factory
 
     read_as: dict[str, Any] = {"scenes": scenes, "native": options.native, "frame": options.frame}
-    read_as["as_is"] = options.as_is
+    read_as |= {"as_is": options.as_is, "name": options.name}
     factories: list[Any] = []
     if options.plans is not None:
         partial = options.allow_partial
@@ -80,7 +84,7 @@ def load_file_planners(
             plan_file_factory(options.plans, dataset, split, records=[run_root], allow_partial=partial, **read_as)
         )
     if opened:
-        factories.append(result_file_factory(opened, dataset, split, name=options.name, **read_as))
+        factories.append(result_file_factory(opened, dataset, split, **read_as))
     for factory in factories:
         for sentence in factory.sentences:
             api.notify(sentence)
@@ -108,18 +112,16 @@ def write_dumps(
 @command(EvalOptions)
 def eval_command(options: EvalOptions) -> None:
     """Run planners on splits, write run records, and print the tables."""
-    from benchmark.evaluation import EvalSettings, evaluate_together
     from benchmark.machine.path_checks import require_place
-    from benchmark.protocols import PROTOCOLS, STANDARD
-    from benchmark.records.attempts import is_adversarial
-    from benchmark.records.reproduction import find_reproductions, with_reproductions
-    from benchmark.runs.units import Shard
+    from benchmark.records.seed_splits import is_adversarial
 
+    # What is quick to refuse comes before what is slow to import.
     _require_planner(options)
-    protocols, scenes = _protocols_to_show(options.protocol), parse_name_list(options.scenes)
+    _require_name(options)
     own = take_options("planner", options.model)
     planners = api.PlannerSource.of(options, of_extensions=own).require()
-    shard = None if options.shard is None else Shard.named(options.shard)
+    protocols, scenes = _protocols_to_show(options.protocol), parse_name_list(options.scenes)
+    shard = parse_shard(options.shard)
     count = _processes(options, planners)
     planners.require_frame(of_file=options.plans is not None or bool(options.results))
     planners.require_servers()
@@ -145,6 +147,12 @@ def eval_command(options: EvalOptions) -> None:
         ]
         print_plan(list(dict.fromkeys(planned)), json_output=options.json_output)
         return
+    # Planners first: importing a class of another package may fail, and data may take minutes to build.
+    factories: list[PlannerFactory] = [_rename_planner(planner, options.name) for planner in planners.load()]
+    from benchmark.evaluation import EvalSettings, evaluate_together
+    from benchmark.protocols import PROTOCOLS, STANDARD
+    from benchmark.records.reproduction import find_reproductions, with_reproductions
+
     space = api.workspace(options.out)
     run_root = space.run_root()
     settings = EvalSettings(
@@ -157,8 +165,6 @@ def eval_command(options: EvalOptions) -> None:
         asked=() if "all" in (options.protocol or ()) else protocols or (),
         unchanged=elsewhere,
     )
-    # Planners first: importing a class of another package may fail, and data may take minutes to build.
-    factories: list[PlannerFactory] = [*planners.load()]
     source = data.open()
     dataset = data.open_split(splits[0], source)
     if options.plans is not None or opened:
@@ -226,9 +232,25 @@ def _require_planner(options: EvalOptions) -> None:
         )
 
 
+def _require_name(options: EvalOptions) -> None:
+    """Refuse a name that cannot stand in tables, and one name for several planners."""
+    name = options.name
+    if name is None:
+        return
+    if not name.strip() or not name.isprintable() or len(name) > _LONGEST_NAME:
+        raise InputError(f"--name must be printable text of at most {_LONGEST_NAME} characters")
+    planners = len(options.model) + (options.plans is not None) + bool(options.results)
+    if planners > 1:
+        raise InputError(f"--name {name} names one planner, and the command runs {planners}; run them one at a time")
+
+
+def _rename_planner(planner: "NamedPlanner", name: str | None) -> "NamedPlanner":
+    """The planner whose record and rows of tables have a name of the user's choice, if one is given."""
+    return planner if name is None else replace(planner, facts=planner.facts.model_copy(update={"name": name}))
+
+
 def _processes(options: EvalOptions, planners: "PlannerSource") -> int:
     """How many processes plan: one where a planner remembers across scenes."""
-    from benchmark.evaluation import require_whole_split
     from benchmark.machine.several_devices import count_workers, require_one_device
 
     count = api.worker_count(count_workers(options.workers, options.device))
@@ -236,6 +258,8 @@ def _processes(options: EvalOptions, planners: "PlannerSource") -> int:
         require_one_device(options.device, "a shard plans in one process, on its own device")
     if not planners.remembers_across_scenes():
         return count
+    from benchmark.evaluation import require_whole_split
+
     require_one_device(options.device, "a planner that keeps state across scenes must plan all of them in one process")
     require_whole_split("the model", parse_name_list(options.scenes), options.limit, options.workers)
     return 1

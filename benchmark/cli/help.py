@@ -4,9 +4,22 @@ from typing import Any
 
 from typer.core import TyperCommand, TyperGroup
 
+from benchmark.errors import InputError
+
 
 class SettingsCommand(TyperCommand):
     """A command whose help lists its options in panels, in the order of the first option of each."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse; words that no argument takes are refused with the option that they are for."""
+        takes_any, ctx.allow_extra_args = ctx.allow_extra_args, True
+        stray = super().parse_args(ctx, args)
+        ctx.allow_extra_args = takes_any
+        if stray and not takes_any and not ctx.resilient_parsing:
+            from benchmark.cli.stray_words import explain_stray_words
+
+            raise InputError(explain_stray_words(stray, {name for each in self.params for name in each.opts}))
+        return stray
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the panels."""

@@ -11,6 +11,7 @@ from benchmark.errors import InputError
 
 if TYPE_CHECKING:
     from benchmark.machine.workers import Executor as Place
+    from benchmark.runs.units import Shard as ShardOfScenes
 
 
 Models = Annotated[
@@ -158,6 +159,15 @@ def parse_image_size(text: str) -> tuple[int, int]:
 def parse_name_list(text: str | None) -> tuple[str, ...] | None:
     """Names between commas, or ``None`` if nothing was given."""
     return None if text is None else tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def parse_shard(text: str | None) -> "ShardOfScenes | None":
+    """The part of ``--shard``, if one is given; slow to import."""
+    if text is None:
+        return None
+    from benchmark.runs.units import Shard as ShardOfScenes
+
+    return ShardOfScenes.named(text)
 
 
 def make_executor(name: str, address: str | None, workers: int) -> "Place":

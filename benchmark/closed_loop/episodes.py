@@ -22,7 +22,7 @@ from benchmark.closed_loop.simulation_state import (
 )
 from benchmark.errors import InputError
 from benchmark.machine.metering import Meter
-from benchmark.planning import CameraView, Command, Plan, Planner, PrivilegedPlanner, SceneInfo
+from benchmark.planning import CameraView, Command, NoViews, Plan, Planner, PrivilegedPlanner, SceneInfo
 from benchmark.records.drive_schema import NeuroncapScore
 from benchmark.scene import Camera, Scene
 
@@ -203,7 +203,7 @@ class _PlannerInterface:
 
     def planned(self, planner: Planner, ride: SimulationState, command: Command) -> Plan | Failure:
         """The plan of this instant; the privileged see the world as driven, and none sees its future."""
-        views: dict[str, CameraView] = {}
+        views: dict[str, CameraView] = NoViews()
         reveals = isinstance(planner, PrivilegedPlanner) and not isinstance(planner, RouteFollower)
         if reveals or not isinstance(self.look, NoCameras):
             driven = build_driven_scene(self.scene, self.route, ride.motion)

@@ -25,7 +25,7 @@ from benchmark.closed_loop.simulation_state import (
 )
 from benchmark.geometry import Floats, quaternion_from_yaw
 from benchmark.machine.storage import make_token
-from benchmark.planning import CameraView, Command, EgoState, Observation
+from benchmark.planning import CameraView, Command, EgoState, NoViews, Observation
 from benchmark.scene import Camera, EgoTrack, LidarMount, Scene
 
 NO_SENSOR: Final = "none"
@@ -96,7 +96,7 @@ class NoCameras:
 
     def views(self, driven: Scene) -> dict[str, CameraView]:
         """None."""
-        return {}
+        return NoViews()
 
 
 PAST_TICKS: Final = 5

@@ -8,6 +8,7 @@ import signal
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -18,9 +19,13 @@ import numpy as np
 
 from benchmark.machine.metering import Meter
 from benchmark.planning import (
+    CameraView,
+    NoViews,
+    NoViewsError,
     Observation,
     Plan,
     Planner,
+    PlannerFailedError,
     PlannerGoneError,
     PlannerLateError,
     PlannerLostError,
@@ -28,6 +33,7 @@ from benchmark.planning import (
     reads_message_after,
 )
 from benchmark.runs.plan_rows import FAILURES, BrokenImageError, format_failure, wrap_image_loader
+from benchmark.untrusted.files import to_one_line
 
 DEFAULT_TIMEOUT_S: Final = 120.0
 """For one plan; no car drives with so old a plan, so that this ends what hangs."""
@@ -87,9 +93,10 @@ def request_plan(
     """Ask for a plan; why there is none, if there is none.
 
     A picture that cannot be had (`BrokenImageError`) and a planner elsewhere that cannot be asked (`PlannerGoneError`)
-    are not the planner's fault.
+    are not the planner's fault. One that fails after it looked for images that no sensor makes is refused
+    (`NoViewsError`).
     """
-    views = {name: replace(view, load=wrap_image_loader(view.load)) for name, view in observation.views.items()}
+    views = _wrap_loaders(observation.views)
     ego = observation.ego if reads_message_after(planner) else replace(observation.ego, can_motion_after=None)
     try:
         # Stdout belongs to the command (--json); what a planner prints goes to stderr.
@@ -103,6 +110,11 @@ def request_plan(
     except PlannerLateError as error:
         return Failure(FailureReason.TIMEOUT, str(error))
     except FAILURES as failure:
+        if getattr(failure, "looked", False) or (isinstance(views, NoViews) and views.looked):
+            raise NoViewsError(
+                f"{planner.name} needs images, and --sensor none provides none (it raised {_name_failure(failure)}); "
+                "add --sensor schematic"
+            ) from failure
         return _to_failure(failure)
     if not isinstance(plan, Plan):
         answer_type = type(plan).__name__
@@ -114,6 +126,19 @@ def request_plan(
     if not np.isfinite(plan.waypoints).all():
         return Failure(FailureReason.UNUSABLE, "a plan's waypoints must be finite, but this plan has NaN or infinity")
     return plan
+
+
+def _wrap_loaders(views: dict[str, CameraView]) -> dict[str, CameraView]:
+    if isinstance(views, NoViews):
+        return views
+    return {name: replace(view, load=wrap_image_loader(view.load)) for name, view in views.items()}
+
+
+def _name_failure(failure: BaseException) -> str:
+    """What was raised, in a line."""
+    if isinstance(failure, PlannerFailedError):
+        return to_one_line(failure)
+    return to_one_line("".join(traceback.format_exception_only(failure)))
 
 
 def notify_planner(planner: Planner, tell: Callable[[], None], timeout_s: float) -> Failure | None:

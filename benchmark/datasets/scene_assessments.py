@@ -24,7 +24,12 @@ AssessmentsByScene = Mapping[str, tuple[SceneAssessment, ...]]
 
 
 class AssessmentsFile(Stored):
-    """File of judgements, by scene name, one for each adversary; ``realism`` is that of all adversaries together."""
+    """File of judgements, by scene name, one for each adversary; ``realism`` is that of all adversaries together.
+
+    Attributes:
+        schema_version: Version of the format.
+        scenes: One judgement for each adversary, by scene.
+    """
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
     scenes: dict[str, tuple[SceneAssessment, ...]]

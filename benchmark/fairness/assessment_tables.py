@@ -13,6 +13,7 @@ from benchmark.records.scene_assessment import (
 )
 from benchmark.records.statistics import SplitAssessment
 from benchmark.report.table import Table, build_table
+from benchmark.report.words import spell_name
 
 _NOTHING: Final = "-"
 _SHOWN: Final = DRIVER_NAMES[1:]
@@ -81,7 +82,7 @@ def _build_scene_row(name: str, assessments: Sequence[SceneAssessment]) -> tuple
         _number(
             max((assessment.max_btn for assessment in encounters if assessment.max_btn is not None), default=None), 2
         ),
-        ", ".join(sorted(faults)) or _NOTHING,
+        spell_name(", ".join(sorted(faults))) or _NOTHING,
     )
 
 
@@ -132,7 +133,7 @@ def _build_severity_table(judged: SplitAssessment) -> Table:
 def _build_validity_table(realism: SplitRealism) -> Table:
     rows = [
         (
-            row.fault,
+            spell_name(row.fault),
             f"{row.count} of {row.of}",
             _NOTHING if not row.of else f"{100 * row.count / row.of:.0f} %",
             "; ".join(row.unknown) or _NOTHING,
@@ -149,7 +150,7 @@ def _build_realism_tables(realism: SplitRealism) -> list[Table]:
         return []
     rows = [
         (
-            f"{row.name} (worst)" if row.name == realism.worst else row.name,
+            f"{spell_name(row.name)} (worst)" if row.name == realism.worst else spell_name(row.name),
             _number(row.realism, 3),
             _NOTHING if row.interval is None else f"{row.interval[0]:.3f} .. {row.interval[1]:.3f}",
             _number(row.realism_of_halves, 3),
@@ -165,7 +166,7 @@ def _build_realism_tables(realism: SplitRealism) -> list[Table]:
         "evidence of a difference.",
     ]
     times = f"{_number(worst.w1_in_halves, 1)} times the W1 of halves"
-    title = f"Realism, worst feature {worst.name}: {worst.realism:.3f}, {times}"
+    title = f"Realism, worst feature {spell_name(worst.name)}: {worst.realism:.3f}, {times}"
     return [build_table("", title, columns, rows, notes=notes), *_build_ctg_tables(realism.ctg)]
 
 

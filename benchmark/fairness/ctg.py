@@ -1,8 +1,8 @@
 """``ctg-realism@code``: the "realism deviation" that papers on nuScenes quote, with every quirk of its public code.
 
 For comparison with the literature, never for a ranking: sizes of accelerations are projected on the axes of the world,
-speeds above 4 m/s fall out of the histograms, and noise of 5 cm costs more than anything a driver does. The page
-``docs/realism.md`` says what each of the four versions of the code does. Single precision is part of the definition.
+speeds above 4 m/s fall out of the histograms, and noise of 5 cm costs more than anything a driver does. How to
+quote it: ``docs/realism.md``. Single precision is part of the definition.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,7 @@
 """When a reference driver on a recorded path finds an agent unsafe: the checks of `rules`, with the signs put right.
 
 A leader that drives away is no danger however near, except where the bodies already overlap along the path; and one
-that rolls backwards is taken to stand where a rule squares its speed (``docs/severity.md``).
+that rolls backwards is taken to stand where a rule squares its speed.
 """
 
 import numpy as np

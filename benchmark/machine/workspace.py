@@ -3,16 +3,18 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from benchmark.datasets.roots import DataSet, open_data
-from benchmark.datasets.split_names import NoSuchSplitError
 from benchmark.errors import InputError
 from benchmark.machine.user_cache import cache_root as cache_root
-from benchmark.records.attempts import parse_seed
+from benchmark.records.seed_splits import parse_seed
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
 
 GENERATED_SPLITS = ("val-r", "adv")
 """Splits that `generate` builds, beside the source's own."""
-# Beside these: one split for each seed (`benchmark.records.attempts`).
+# Beside these: one split for each seed (`benchmark.records.seed_splits`).
 EMBEDDED = "mini"
 DEMONSTRATED = "demo"
 """The small town, and the ``adv`` made from it, that ``challenger-bench demo`` leaves below ``--out``."""
@@ -97,7 +99,7 @@ class Workspace:
         """Folder of what takes long to draw, kept between the stages of photorealistic rendering."""
         return self.out / "rendering"
 
-    def open_split(self, source: DataSet, split: str, *, build: Callable[[], Path] | None = None) -> DataSet:
+    def open_split(self, source: "DataSet", split: str, *, build: Callable[[], Path] | None = None) -> "DataSet":
         """The data set that holds a split of a source.
 
         Args:
@@ -112,6 +114,8 @@ class Workspace:
         Raises:
             InputError: If the split has not been generated, or was made from another version of the source.
         """
+        from benchmark.datasets.roots import open_data
+
         root = self.split_root(source.name, split)
         if not is_generated(split) or (not root.exists() and _has_split(source, split)):
             return source
@@ -144,7 +148,9 @@ def is_finished(root: Path) -> bool:
     return any(root.glob("*/challenger.json")) or any(root.glob("v*/*/challenger.json"))
 
 
-def _has_split(source: DataSet, split: str) -> bool:
+def _has_split(source: "DataSet", split: str) -> bool:
+    from benchmark.datasets.split_names import NoSuchSplitError
+
     try:
         return bool(source.scene_names(split))
     except NoSuchSplitError:

@@ -14,9 +14,9 @@ import numpy as np
 from benchmark.fairness.attack import READINGS, Attack, Reading, any_or_unknown
 from benchmark.metrics.rates import Rate, compute_ratios_over_scenes
 from benchmark.metrics.scores import map_scenes_to_sources
-from benchmark.records.attempts import is_adversarial
 from benchmark.records.row_schema import BriefRow
 from benchmark.records.run import RunRecord
+from benchmark.records.seed_splits import is_adversarial
 
 __all__ = [
     "READINGS",

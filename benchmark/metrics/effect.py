@@ -20,6 +20,7 @@ from benchmark.metrics.rates import HORIZONS, PairedDifference, append_average, 
 from benchmark.metrics.scores import ScoredSamples, map_scenes_to_sources, require_current, score_record
 from benchmark.protocols import PROTOCOLS, compute_published_values
 from benchmark.protocols.raster import HIT_ADVERSARY, TOUCHED_ADVERSARY, touches_adversary
+from benchmark.records.row_schema import PlanCollision
 from benchmark.records.rows import find_scene_failures, find_scenes_with
 from benchmark.records.run import RunRecord
 
@@ -40,6 +41,9 @@ class SampleContacts:
         counted: (S,) whether a verdict on contacts up to 3 s exists.
         weights: (S,) 1 / variants of the recording.
         unknown_fault: (S,) first contacts with an adversary of which it is not known whose fault they are.
+        hits: S instances that are touched first, and seconds from the sample on; ``None`` without a contact.
+        severity: S contacts with that instance as `benchmark.fairness.plan_severity` has them, fault included;
+            ``None`` where the record has none.
     """
 
     keys: tuple[tuple[str, int], ...]
@@ -49,6 +53,8 @@ class SampleContacts:
     adversary: Floats
     at_fault: Floats
     unknown_fault: Bools
+    hits: tuple[tuple[str, float] | None, ...]
+    severity: tuple[PlanCollision | None, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,8 +194,8 @@ def collect_sample_contacts(record: RunRecord) -> SampleContacts:
     hit, first_s, adversary = (facts.get(name, (None,) * len(planned)) for name in _FIRST)
     contacts = [None if (own := severity[place]) is None else own.contact for place in planned]
     with_adversary = np.array([bool(flag) for flag in adversary], np.bool_)
-    same = [one is not None and one.agent == name for one, name in zip(contacts, hit)]
-    faults = [one.at_fault if known and one is not None else None for one, known in zip(contacts, same)]
+    same = tuple(one if one is not None and one.agent == name else None for one, name in zip(contacts, hit))
+    faults = [None if one is None else one.at_fault for one in same]
     by_horizon = np.array([[time is not None and time <= horizon for horizon in HORIZON_S] for time in first_s])
     touched = by_horizon.reshape(-1, 3) & with_adversary[:, None]
     return SampleContacts(
@@ -200,6 +206,8 @@ def collect_sample_contacts(record: RunRecord) -> SampleContacts:
         adversary=append_average(touched.astype(np.float64)),
         at_fault=append_average((touched & np.array([bool(fault) for fault in faults])[:, None]).astype(np.float64)),
         unknown_fault=with_adversary & np.array([fault is None for fault in faults], np.bool_),
+        hits=tuple(None if name is None else (name, time) for name, time in zip(hit, first_s)),
+        severity=same,
     )
 
 

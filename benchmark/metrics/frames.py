@@ -1,5 +1,7 @@
 """Run records as data frames, for questions that no table answers."""
 
+from typing import Final
+
 import numpy as np
 import pandas as pd
 
@@ -9,7 +11,10 @@ from benchmark.metrics.scores import require_current
 from benchmark.protocols import PROTOCOLS, compute_published_values
 from benchmark.records.run import RunRecord, collect_outcomes
 
-_COLUMNS = ("collision", "l2")
+ROW_FIELDS: Final = ("scene", "sample_token", "index", "status", "place", "speed_m_s")
+"""Fields of `benchmark.records.row_schema.SampleRow` that lead the frame; the token's column is ``sample``."""
+COLUMNS: Final = ("collision", "l2")
+"""Columns of every protocol that it has at each horizon (`benchmark.protocols.contract.COLUMN_MEANINGS`)."""
 
 
 def samples_frame(record: RunRecord) -> pd.DataFrame:
@@ -27,9 +32,8 @@ def samples_frame(record: RunRecord) -> pd.DataFrame:
     Raises:
         InputError: If a protocol judged the record in another version than the present one, or is not known here.
     """
-    fields = ("scene", "sample_token", "index", "status", "place", "speed_m_s")
-    of_rows = list(zip(*(record.columns.values(name) for name in fields)))
-    frame = pd.DataFrame(of_rows, columns=[name.removesuffix("_token") for name in fields])
+    of_rows = list(zip(*(record.columns.values(name) for name in ROW_FIELDS)))
+    frame = pd.DataFrame(of_rows, columns=[name.removesuffix("_token") for name in ROW_FIELDS])
     planned = (frame["status"] == "ok").to_numpy()
     columns: dict[str, Floats] = {}
     for name in dict.fromkeys([*PROTOCOLS, *record.run.protocols]):
@@ -38,7 +42,7 @@ def samples_frame(record: RunRecord) -> pd.DataFrame:
         require_current(record, name)
         outcomes = collect_outcomes(record.rows, name)
         values = compute_published_values(PROTOCOLS[name], outcomes)
-        for column in _COLUMNS:
+        for column in COLUMNS:
             table = np.full((len(frame), len(HORIZON_STEPS)), np.nan)
             table[planned] = np.where(outcomes.counted[:, None], values[column], np.nan)
             columns |= {f"{name} {column} {horizon}": table[:, place] for place, horizon in enumerate(HORIZON_STEPS)}

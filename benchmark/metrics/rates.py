@@ -97,6 +97,13 @@ class Rate:
 
     ``value`` is ``None`` where the denominator is zero, the ends of the 95 % interval over scenes where fewer than two
     scenes count.
+
+    Attributes:
+        value: The ratio.
+        numerator: Sum over the samples that count.
+        denominator: How many count.
+        low: Lower end of the interval.
+        high: Upper end.
     """
 
     value: float | None

@@ -10,10 +10,10 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import sanitise_file_name
 from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.scores import map_scenes_to_sources
-from benchmark.records.attempts import is_adversarial
 from benchmark.records.planner_versions import PLANS_SHA256, describe_version
 from benchmark.records.run import RunRecord, load_record
 from benchmark.records.run_schema import PlannerFacts
+from benchmark.records.seed_splits import is_adversarial
 from benchmark.records.store import RUN_FILE
 
 UNCHANGED_SPLITS: Final = ("val-r", "val")

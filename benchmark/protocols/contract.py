@@ -188,6 +188,20 @@ def compute_published_values(definition: CollisionProtocol, outcomes: ProtocolOu
     }
 
 
+COLUMN_MEANINGS: Final[Mapping[str, str]] = {
+    "collision": "Collision rate, 0 to 1, after the protocol's exclusions.",
+    "collision_before_mask": "The same without excluding steps at which the recorded ego collides.",
+    "collision_mean": "Mean of the collision flags over the steps up to the horizon.",
+    "obj_col": "Collision flags of the single cell below the waypoint, instead of the whole ego.",
+    "l2": "Displacement from the recorded ego, metres.",
+    "l2_mean": "Mean displacement over the steps up to the horizon, metres.",
+    "ade": "Mean displacement over the steps up to the horizon, metres.",
+    "kerb": "Contact with the edge of the road, after the mask.",
+    "kerb_before_mask": "The same regardless of the recorded ego.",
+    "kerb_point": "Contact of the point below the waypoint with the edge of the road, mean over the steps.",
+    "off_road": "Any step with a cell that is not drivable.",
+}
+"""What each column of `CollisionProtocol.sample_values` of our protocols is; horizons average as the protocol does."""
 _OF_CONTACTS: Final = ("collision", "obj_col")
 """How the names of columns begin that need to know who is around."""
 

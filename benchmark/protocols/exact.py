@@ -59,7 +59,7 @@ class FirstContact:
 
 
 class ExactProtocol:
-    """See the module's docstring."""
+    """Oriented boxes, every object, between the waypoints too; the module's docstring says all."""
 
     name = "exact"
     version = 2

@@ -51,6 +51,17 @@ class AblationRow(Stored):
     A colliding sample is one of a kept attempt in which the planner collides within three seconds. Intervals of rates
     are over recorded scenes; ``mean_gap_m`` is the mean over kept attempts of the smallest gap between adversary and
     ego.
+
+    Attributes:
+        name: Of the variant.
+        attempted: Vehicles that were tried.
+        kept: Attempts that passed verification.
+        discarded: The others, by reason.
+        samples_attempted: Samples of the scenes of all tried vehicles.
+        samples_kept: Samples of the kept scenes.
+        colliding_samples: Those in which the planner collides.
+        rate_attempted: Colliding samples over those of all tried.
+        rate_kept: Colliding samples over those of kept scenes.
     """
 
     name: str
@@ -79,6 +90,14 @@ class AblationReport(Stored):
     """``ablation.json``; ``hyper`` are the settings of the full search, ``rows`` in the order of the paper's table.
 
     ``seed`` is that of vehicles, search and intervals.
+
+    Attributes:
+        schema_version: Version of the format.
+        data: Data set.
+        scenes: Recorded scenes.
+        planner: Planner that judges.
+        protocol: Name and version.
+        prior_fingerprint: Hash of the trajectory model.
     """
 
     schema_version: int = Field(alias="schema")

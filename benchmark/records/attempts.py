@@ -1,6 +1,5 @@
 """Stored attempts of the search for adversaries (``attempts.jsonl``, ``challenger.json``); names of seeded splits."""
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -27,6 +26,11 @@ class Approach(_AttemptModel):
     """Closest approach of two bodies, in seconds since the scene's first frame, and the side of the ego.
 
     The side is a `generation.labels.labelling.Side`.
+
+    Attributes:
+        gap_m: Distance of the bodies.
+        time_s: When it is least.
+        side: Side of the ego.
     """
 
     gap_m: float
@@ -45,6 +49,9 @@ class ManoeuvreOccurrence(_AttemptModel):
 
     ``first_s`` counts from the scene's first frame; ``duration_s`` is the sum of all its times, and ``least_gap_m`` the
     smallest gap between the bodies in them.
+
+    Attributes:
+        kind: Its name.
     """
 
     kind: str
@@ -58,6 +65,9 @@ class Encroachment(_AttemptModel):
 
     ``seconds`` is 0 if both were there at once, as abreast in a bend. The other vehicle was there at ``time_s`` since
     the scene's first frame.
+
+    Attributes:
+        ego_first: Whether the ego was there first.
     """
 
     seconds: float
@@ -66,7 +76,12 @@ class Encroachment(_AttemptModel):
 
 
 class TimeToCollision(_AttemptModel):
-    """The smallest time to collision of a scene, and when it was that small first, seconds since the first frame."""
+    """The smallest time to collision of a scene, and when it was that small first, seconds since the first frame.
+
+    Attributes:
+        seconds: The smallest.
+        time_s: When.
+    """
 
     seconds: float
     time_s: float
@@ -78,6 +93,10 @@ class ManoeuvreLabels(_AttemptModel):
     ``occurred`` has the primary kind first. ``time_to_collision`` is ``None`` if it was never within 5 s.
     ``encroachment`` is ``None`` if there was none, and ``place`` the `benchmark.metrics.places.PlaceKind` of the
     closest approach.
+
+    Attributes:
+        manoeuvre: The primary kind.
+        closest_approach: When the two were closest.
     """
 
     manoeuvre: str
@@ -94,6 +113,9 @@ class PlanningFrame(_AttemptModel):
     ``round`` is that of the executed candidate, and ``score`` its final score over all rounds, ``None`` if no candidate
     was finite. ``best_scores`` has the best of each round, normalised within it, ``collision_free`` its candidates
     without contact.
+
+    Attributes:
+        frame: Index in the scene.
     """
 
     frame: int
@@ -107,6 +129,9 @@ class MaskedSteps(_AttemptModel):
     """Steps that the ground-truth check of a protocol takes from every planner, regardless of the plan.
 
     The recorded ego touches an adversary there, as the protocol sees both, or ``others`` and no adversary.
+
+    Attributes:
+        adversary: Steps at which it is an adversary.
     """
 
     adversary: int
@@ -117,15 +142,22 @@ class Attempt(_AttemptModel):
     """One vehicle of one recorded scene that was tried as an adversary.
 
     Attributes:
+        scene: Recorded scene.
+        agent: Instance that was tried.
+        seed: Of the search.
+        kept: Whether it passed verification.
         discard: `generation.search.verify.DiscardReason`.
         because: Evidence of that (`generation.search.verify.VerificationFailure`).
+        launch_frame: 12 Hz frame from which it leaves its recording.
         tries: Searches that were made; everything else is about the last one.
         challenge: Ranking score, see `generation.search.ranking.compute_challenge_score`; 0 where discarded.
         closest_approach: ``None`` where the track is incomplete.
         least_time_to_collision_s: ``None`` if never within 5 s.
+        labels: What it does.
         masked_steps: By protocol, if kept: steps of all samples that are masked for any plan.
         judgements: If verification passed: judgements of each adversary that the scene has by then, its own last; empty
             in older files.
+        plans: Trace of the search.
         earlier: Adversaries that the scene had already.
         dropped: Why an attempt that passed verification is not written (`generation.search.chains.DropReason`).
         written: Name of the scene that it became.
@@ -183,25 +215,8 @@ def list_stored_labels(report: Any) -> list[Any]:
     return [stored for stored in labels if stored is not None]
 
 
-_NAMED: Final = re.compile(r"adv-seed-(0|[1-9]\d{0,17})")
 SEARCH: Final = "search"
 """In ``challenger.json`` of such a split: hash of everything but the seed that decided its search."""
-
-
-def format_seed_split(seed: int) -> str:
-    """Name of the split that is searched with a seed."""
-    return f"adv-seed-{seed}"
-
-
-def parse_seed(split: str) -> int | None:
-    """Seed of a split that is called after one, else ``None``."""
-    named = _NAMED.fullmatch(split)
-    return int(named[1]) if named else None
-
-
-def is_adversarial(split: str) -> bool:
-    """Whether a split is ``adv``, or one of those of several seeds."""
-    return split == "adv" or parse_seed(split) is not None
 
 
 def read_generated_facts(made: Mapping[str, Any] | None) -> GeneratedFacts | None:

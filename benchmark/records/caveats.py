@@ -30,7 +30,12 @@ OF_THE_DOOR: Final[frozenset[CaveatKind]] = frozenset({"as-is"})
 
 
 class Caveat(Stored):
-    """A thing that a number needed and did not get, and what that does to it; the sentence has no full stop."""
+    """A thing that a number needed and did not get, and what that does to it; the sentence has no full stop.
+
+    Attributes:
+        kind: Which input is missing or doubtful.
+        sentence: What was missing and its effect.
+    """
 
     kind: CaveatKind
     sentence: Annotated[str, Field(max_length=1000)]

@@ -15,7 +15,12 @@ VERDICT_FORMAT: Final = "challenger-bench challenge verdict"
 
 
 class RefusalReason(Stored):
-    """Why a scene, or a whole entry, is refused: ``table.name`` of ``rules.toml``, and what was found against it."""
+    """Why a scene, or a whole entry, is refused: ``table.name`` of ``rules.toml``, and what was found against it.
+
+    Attributes:
+        rule: Which rule.
+        sentence: What breaks it.
+    """
 
     rule: str
     sentence: str
@@ -27,6 +32,12 @@ class ChangedVehicle(Stored):
     ``instance`` and ``recorded`` are its tokens in the entry and in the recording, ``farthest_m`` its largest distance
     from where it was recorded. Least gaps are those from ``from_s`` on, to the recorded ego and to the nearest other;
     ``None`` where none was measured or none is near.
+
+    Attributes:
+        category: In nuScenes' words.
+        least_gap_ego_m: To the recorded ego.
+        least_gap_others_m: To the nearest other.
+        nearest_ego_s: When it is nearest to the ego.
     """
 
     instance: str
@@ -44,6 +55,10 @@ class SceneVerdict(Stored):
 
     ``notes`` say what could not be asked and what else an organiser may want to know; they refuse nothing. Of the
     ``changed`` vehicles, those that are let be come first. ``images`` is how many were looked at.
+
+    Attributes:
+        scene: Of the entry.
+        recording: Recorded scene that it is compared with.
     """
 
     scene: str
@@ -60,14 +75,29 @@ class SceneVerdict(Stored):
 
 
 class ComparedData(Stored):
-    """A data set that took part: its name and the hash of its content."""
+    """A data set that took part: its name and the hash of its content.
+
+    Attributes:
+        name: Of the data set.
+        fingerprint: Hash of its content.
+    """
 
     name: str
     fingerprint: str
 
 
 class EntryVerdict(Stored):
-    """Verdict on an entry, refused as a whole for ``reasons``; verdicts by other ``rules`` are not comparable."""
+    """Verdict on an entry, refused as a whole for ``reasons``; verdicts by other ``rules`` are not comparable.
+
+    Attributes:
+        format: Marks the file.
+        schema_version: Version of the format.
+        version: Of challenger-bench.
+        entry: Data set that was checked.
+        base: Recordings that it is compared with.
+        challenge: Its name.
+        scenes: Verdict on each scene.
+    """
 
     format: Literal["challenger-bench challenge verdict"] = VERDICT_FORMAT
     schema_version: Literal[1] = Field(default=1, alias="schema")
@@ -116,6 +146,11 @@ class ScoredQuantity(Stored):
     """A number with its 95 % interval over recordings; ``None`` where it does not exist.
 
     The interval needs two recordings. ``denominator`` is how many samples, scenes or contacts it was counted over.
+
+    Attributes:
+        value: The number.
+        low: Lower end of the interval.
+        high: Upper end.
     """
 
     value: float | None = None
@@ -143,11 +178,17 @@ class EntryScore(Stored):
     """Scores of one entry; rates are means over the planners, shares are of the accepted scenes.
 
     Attributes:
+        entry: Data set of the entry.
+        scenes: How many it has.
         refused: Names of the scenes that are refused.
         reasons: Why it is not ranked as a whole; none if it is.
         best_place: Its best place that the numbers leave open; ``None`` if it is not ranked.
+        worst_place: Its worst place that the numbers leave open.
         adversary: First contacts with a changed vehicle, under ``exact``.
         collision: Contacts with anything, under the protocol.
+        attributable: Contacts at the planner's fault where the careful human survives.
+        planners: Scores of each planner.
+        careful_survives: Share of accepted scenes that the careful human survives.
         least_gap_m: Distance of the recorded ego from the changed vehicles, mean over accepted scenes.
         critical: Share of accepted scenes in which the two are ever within 1.5 s of contact at constant velocities.
         delta_v_m_s: Change of velocity of the ego where a plan first touches a changed vehicle, mean over all planners;
@@ -155,6 +196,7 @@ class EntryScore(Stored):
         without_fault: Share of accepted scenes in whose tracks no fault was found (``docs/realism.md``).
         realism_feature: The worst of the features of motion that are compared with recordings.
         realism: 1 less its divergence: the larger, the more real.
+        not_compared: Why its motion was not compared with recordings.
     """
 
     entry: ComparedData
@@ -181,6 +223,11 @@ class EntryPair(Stored):
     """Two ranked entries, the one with the higher score first, and their difference.
 
     ``difference`` is taken in resamples of the same recordings; they are told apart if its interval leaves zero out.
+
+    Attributes:
+        first: Name of one entry.
+        second: Name of the other.
+        told_apart: Whether the interval leaves zero out.
     """
 
     first: str
@@ -194,6 +241,16 @@ class ChallengeScores(Stored):
 
     ``rules`` is the fingerprint of the rules, ``horizon`` ``1s``, ``2s``, ``3s`` or ``avg``. ``ranks`` is the rate that
     an entry is ranked by: ``collision`` in older files and under another protocol than ``exact``.
+
+    Attributes:
+        format: Marks the file.
+        schema_version: Version of the format.
+        version: Of challenger-bench.
+        challenge: Its name.
+        base: Recordings of the challenge.
+        protocol: Protocol of the collision rate.
+        planners: Planners that were run.
+        entries: Scores of each entry.
     """
 
     format: Literal["challenger-bench challenge scores"] = SCORES_FORMAT

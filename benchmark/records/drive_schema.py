@@ -28,12 +28,14 @@ class ClosedLoopDefinition(Stored):
     """Settings of a measurement, apart from the planner: two records that differ in it never share a table.
 
     Attributes:
+        engine: Which engine drove.
         agents: How the others behave; ``replay`` in NeuroNCAP's engine.
-        agents_facts: What else they depend on: budget, knowledge and version of an adversary, and the policy of those
-            beside it. Not written where there is nothing.
+        sensor: How pictures were made; ``none`` without any.
         sensor_facts: What else the pictures depend on.
         latency_ms: How much later than it was made a plan took effect.
         scenarios: What scenes were driven with, in NeuroNCAP's engine: as they are, ours, or NeuroNCAP's own.
+        agents_facts: What else they depend on: budget, knowledge and version of an adversary, and the policy of those
+            beside it. Not written where there is nothing.
         until: What ended a drive before its time. Not written where it is any contact.
     """
 
@@ -71,6 +73,10 @@ class DriveFacts(RecordFacts):
 
     ``runs`` is the number of runs of each scene, 1 where nothing is drawn. ``rescored`` is the environment of the last
     `challenger-bench rescore`, if the drives were scored anew since.
+
+    Attributes:
+        measured: Settings of the measurement.
+        scoring: Version of the scores.
     """
 
     measured: ClosedLoopDefinition
@@ -80,14 +86,24 @@ class DriveFacts(RecordFacts):
 
 
 class EpisodePlan(Stored):
-    """A plan as the planner gave it, in its own frame; of what else it said, nothing is driven or kept."""
+    """A plan as the planner gave it, in its own frame; of what else it said, nothing is driven or kept.
+
+    Attributes:
+        frame: Axes and reference point of the waypoints.
+        waypoints: At 0.5 s steps, metres.
+    """
 
     frame: Literal["lidar", "ego"]
     waypoints: list[list[float]]
 
 
 class FailureRow(Stored):
-    """Why a drive failed: in a word, and what was raised."""
+    """Why a drive failed: in a word, and what was raised.
+
+    Attributes:
+        reason: Kind of failure.
+        text: Traceback or message.
+    """
 
     reason: Literal["raised", "no plan", "unusable plan", "timeout", "died"]
     text: str
@@ -100,6 +116,12 @@ class ScoredContact:
     ``seconds`` counts from the drive's first driven instant, ``agent`` is the touched instance, and ``adversary``
     whether it was made to be one. Speeds are in m/s: ``impact_speed`` is the size of the difference of velocities,
     ``delta_v_ego`` the ego's change of velocity in a plastic impact.
+
+    Attributes:
+        category: Of the other.
+        kind: Kind of contact, as nuPlan classifies it.
+        at_fault: Whether it is the ego's fault.
+        delta_v_other: Change of velocity of the other.
     """
 
     seconds: float
@@ -118,6 +140,7 @@ class NuplanTerms:
     """nuPlan's terms of one drive, 0 to 1, and their score.
 
     Attributes:
+        score: Product and weighted mean of the terms.
         nc: No contact at fault: 1/2 at fault with a thing, 0 with a road user.
         dac: No corner 0.3 m outside the drivable area.
         mp: At least a fifth of the recorded way.
@@ -146,6 +169,9 @@ class HdScore:
     """HD-Score's formula with our terms, of one drive: a product of two shares.
 
     ``plans`` is the mean over planning instants of NC DAC (5 TTC + 2 C) / 7, ``completed`` the share of the route.
+
+    Attributes:
+        score: Product of the two shares.
     """
 
     score: Share
@@ -155,7 +181,13 @@ class HdScore:
 
 @dataclass(frozen=True, slots=True)
 class NeuroncapScore:
-    """Score of a run by NeuroNCAP's engine, 0 to 5; ``None`` where it is nothing of nothing. Speeds are in m/s."""
+    """Score of a run by NeuroNCAP's engine, 0 to 5; ``None`` where it is nothing of nothing. Speeds are in m/s.
+
+    Attributes:
+        score: 5 without contact, less the faster the impact.
+        impact_speed: Speed at the contact; 0 without one.
+        reference_speed: Impact speed of an ego that does not react.
+    """
 
     score: Annotated[float, Field(ge=0.0, le=5.0)] | None
     impact_speed: float
@@ -168,6 +200,9 @@ class ScoreRow(Stored):
     ``recorded_progress_m`` is the recorded ego's in the same time. ``route_share`` is of the recorded way to its end,
     ``None`` where the recorded car hardly moves; ``comfortable`` is within nuPlan's bounds, ``None`` of less than 1.5
     s. ``nuplan`` and ``hd`` are of the default engine on a map with lanes, ``neuroncap`` is of NeuroNCAP's engine.
+
+    Attributes:
+        progress_m: Driven along the route.
     """
 
     progress_m: float
@@ -184,6 +219,9 @@ class TickRows(Stored):
 
     ``ego`` has x, y, yaw, speed, acceleration, yaw rate and angle of the road wheels. ``command`` (0 right, 1 left,
     2 straight) and ``station`` (metres along the route) have one value for each instant that was planned from.
+
+    Attributes:
+        time_us: Time of each instant.
     """
 
     time_us: list[int]
@@ -198,6 +236,10 @@ class AdversaryRow(Stored):
     ``poses`` are x, y, yaw of its box centre from frame ``start`` on, where it left its recording. ``replanned`` are
     frames, none of a track that was given; ``scores`` are of what was chosen there, null where it braked because no
     candidate was allowed.
+
+    Attributes:
+        agent: Its index in the scene.
+        uuid: Its instance identifier.
     """
 
     agent: Annotated[int, Field(ge=0)]
@@ -214,6 +256,10 @@ class LadderOutcome:
 
     ``seconds`` is from the start of the drive to its first contact, ``agent`` the touched instance, and ``at_fault`` by
     nuPlan's rules, as if the driver kept to one lane.
+
+    Attributes:
+        survives: Whether it touches nothing.
+        kind: Kind of contact.
     """
 
     __pydantic_config__: ClassVar[ConfigDict] = Stored.model_config
@@ -232,11 +278,17 @@ class EpisodeRow(Stored):
     """One line of ``drives.jsonl``: one scene, one run.
 
     Attributes:
+        scene: Name of the scene.
         family: Family of the scenario; empty where the scene was driven as it is.
         run: Index of the run, which is its seed.
         status: ``failed`` where the planner failed; such a drive has no scores and is never a zero.
+        end: What ended it: a contact, the end of the scene, or a failure.
         primed: Planning instants at which the ego was the recorded one.
+        ticks: States at the planning instants.
         plans: One for each instant that has one.
+        contact: The contact that ended it.
+        scores: Null of a failed drive.
+        failure: Why the planner failed.
         adversary: Track of an adversary that answers; not written where there was none.
         ladder: Outcomes of reference drivers, by driver; not written where none drove.
         passed: Contacts before `contact` that did not end it, none of them the ego's fault; not written if none.
@@ -296,6 +348,12 @@ class PublishedTable(Stored):
     """NeuroNCAP's table as its published code makes it: means over runs, then over scenes, then over families.
 
     Each mean is rounded to three digits. A failed run is left out; a scene with a run without a score drops out.
+
+    Attributes:
+        nns: NeuroNCAP score.
+        collision: Collision rate.
+        nns_by_family: Score by family of scenarios.
+        collision_by_family: Collision rate by family.
     """
 
     nns: float | None
@@ -311,6 +369,11 @@ class DriveSummary(Stored):
     fail. ``columns`` are means and rates over those, with intervals over recorded scenes. ``published`` is of scenarios
     in ``neuroncap@code``, averaged and rounded as NeuroNCAP's published code does it; null of all else and in older
     records.
+
+    Attributes:
+        schema_version: Version of the format.
+        drives: Number of drives.
+        failed: Drives in which the planner failed.
     """
 
     schema_version: int = Field(alias="schema")

@@ -27,7 +27,14 @@ from benchmark.records.drive_schema import (
 from benchmark.records.neuroncap_aggregate import Metrics, NeuroncapSwitches, aggregate_runs
 from benchmark.records.planner_cost import PlannerCost
 from benchmark.records.run_schema import SceneFacts
-from benchmark.records.store import RecordFileNames, read_records, read_rows_and_summary, replace_files, validate_stored
+from benchmark.records.store import (
+    DRIVE_FILE,
+    RecordFileNames,
+    read_records,
+    read_rows_and_summary,
+    replace_files,
+    validate_stored,
+)
 from benchmark.records.stored import Stored
 from benchmark.report.terminal import html_table
 from benchmark.report.words import pluralise
@@ -72,7 +79,7 @@ def _read_metric(level: dict[str, float], name: str) -> float | None:
     return None if np.isnan(value) else value
 
 
-DRIVE_FILE, ROWS_FILE, SUMMARY_FILE = "drive.json", "drives.jsonl", "summary.json"
+ROWS_FILE, SUMMARY_FILE = "drives.jsonl", "summary.json"
 DRIVE_FILES: Final = RecordFileNames(DRIVE_FILE, ROWS_FILE, SUMMARY_FILE)
 NNS, COLLISION_RATE = "nns", "collision"
 ATTRIBUTABLE, BYSTANDER = "attributable", "bystander"

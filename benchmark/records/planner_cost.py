@@ -33,6 +33,11 @@ class SceneCost(Stored):
     for each sample in time order, after the device is done; null where the planner failed. Peaks are of the process,
     the harness included (null where the system does not tell or the planner runs elsewhere), and on the GPU (null
     without one).
+
+    Attributes:
+        peak_memory_mb: Of the process.
+        peak_device_mb: On the GPU.
+        device: Where the network ran.
     """
 
     planning_s: _Positive
@@ -47,6 +52,10 @@ class PlannerCost(Stored):
     """Time and memory that a planner took on a split, by scene; those of scenes planned before stay.
 
     ``planner`` is a content key: costs of another version are of another planner.
+
+    Attributes:
+        schema_version: Version of the format.
+        scenes: Cost by scene.
     """
 
     schema_version: Literal[1] = Field(default=1, alias="schema")

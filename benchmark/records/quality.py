@@ -27,7 +27,12 @@ QUALITY_SCHEMA: Final = 1
 
 
 class ExactSum(Stored):
-    """Values added up, exactly rounded once, so that the order does not matter."""
+    """Values added up, exactly rounded once, so that the order does not matter.
+
+    Attributes:
+        total: The sum.
+        count: How many were added.
+    """
 
     total: float
     count: int
@@ -44,6 +49,15 @@ class SubjectRow(Stored):
     ``adversary`` is whether the scene was generated around it, ``appearances`` its frames with a mask, ``returns`` how
     often it came back after frames without one. ``consistency`` sums VBench's values of the appearances after the
     first, ``imaging`` MUSIQ's scores, 0 to 1.
+
+    Attributes:
+        scene: Its scene.
+        camera: Its camera.
+        instance: Its instance.
+        category: In nuScenes' words.
+        first_us: Time of the first appearance.
+        last_us: Time of the last one.
+        mean_area_px: Mean area of its masks.
     """
 
     scene: str
@@ -65,6 +79,11 @@ class VideoRow(Stored):
 
     ``width`` and ``height`` are in pixels, of the frames as they were scored; ``formats`` counts frames by file format.
     ``imaging`` sums MUSIQ's scores of whole frames, 0 to 1.
+
+    Attributes:
+        scene: Its scene.
+        camera: Its camera.
+        frames: Frames that were scored.
     """
 
     scene: str
@@ -85,7 +104,13 @@ class SceneQualityRows(Stored):
 
 
 class WeightsFacts(Stored):
-    """Weights that were used, with the hash of their files (`benchmark.weights.folders.compute_content_hash`)."""
+    """Weights that were used, with the hash of their files (`benchmark.weights.folders.compute_content_hash`).
+
+    Attributes:
+        repository: Where they are published.
+        revision: Commit, branch or tag.
+        content: Hash of the files.
+    """
 
     repository: str
     revision: str
@@ -93,7 +118,13 @@ class WeightsFacts(Stored):
 
 
 class GroupSummary(Stored):
-    """Numbers of a group of subjects, each camera for itself; ``imaging`` is the quality of their regions."""
+    """Numbers of a group of subjects, each camera for itself; ``imaging`` is the quality of their regions.
+
+    Attributes:
+        subjects: Vehicles, each camera counted by itself.
+        appearances: Frames with a mask.
+        consistency: Mean of VBench's subject consistency.
+    """
 
     subjects: int
     appearances: int
@@ -102,7 +133,13 @@ class GroupSummary(Stored):
 
 
 class SceneSummary(Stored):
-    """Numbers of one scene; ``None`` where it has no subject, or none that appears twice."""
+    """Numbers of one scene; ``None`` where it has no subject, or none that appears twice.
+
+    Attributes:
+        consistency: Of its subjects.
+        imaging: Of their regions.
+        frames_imaging: Of whole frames.
+    """
 
     consistency: float | None
     imaging: float | None
@@ -110,7 +147,14 @@ class SceneSummary(Stored):
 
 
 class QualitySummary(Stored):
-    """Quality of a split: of ``all`` subjects, ``adversary`` and ``others`` where there is one, and whole frames."""
+    """Quality of a split: of ``all`` subjects, ``adversary`` and ``others`` where there is one, and whole frames.
+
+    Attributes:
+        groups: Numbers by group.
+        frames: Frames that were scored.
+        frames_imaging: Quality of whole frames.
+        scenes: Numbers by scene.
+    """
 
     groups: dict[str, GroupSummary]
     frames: int
@@ -123,6 +167,15 @@ class QualityFacts(Stored):
 
     ``definition`` has every choice that changes a number (`benchmark.extensions.quality.definition`), ``device`` is
     ``cpu`` or ``cuda``, and ``review`` null where no verdict of an inspector stands, and in older records.
+
+    Attributes:
+        schema_version: Version of the format.
+        data: Data set.
+        split: Split of the data set.
+        scenes: Names of the scenes that were scored.
+        scenes_in_split: More than ``scenes`` means that a part was asked for.
+        environment: Packages, processor, commit.
+        files: SHA-256 of the rows' files.
     """
 
     schema_version: int = Field(alias="schema")

@@ -29,6 +29,11 @@ class ComparedNumber(Stored):
     ``column`` is ``collision`` in per cent, ``l2`` in metres, or ``samples``, how many were counted; ``horizon`` is
     ``1s``, ``2s``, ``3s``, ``avg``, empty for ``samples``. Of several published values it is the nearest to ours, which
     is null where the run has none.
+
+    Attributes:
+        published: The published value.
+        ours: Ours.
+        allowed: Largest difference that counts as equal.
     """
 
     column: Literal["collision", "l2", "samples"]
@@ -51,7 +56,16 @@ class ComparedNumber(Stored):
 
 
 class Reproduction(Stored):
-    """Outcome of one attempt to reproduce published numbers, of ``of`` in words; ``record`` is the run's content id."""
+    """Outcome of one attempt to reproduce published numbers, of ``of`` in words; ``record`` is the run's content id.
+
+    Attributes:
+        planner: Which planner ran.
+        data: On which data set.
+        split: On which split.
+        protocol: Protocol of the numbers.
+        version: Of the protocol.
+        numbers: Every number beside the published one.
+    """
 
     planner: PlannerFacts
     data: DataFacts

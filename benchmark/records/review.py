@@ -63,7 +63,13 @@ class Verdict(Stored):
 
 
 class ReviewFile(Stored):
-    """``review.json``: verdicts by name of the scene, as the opened data set calls it."""
+    """``review.json``: verdicts by name of the scene, as the opened data set calls it.
+
+    Attributes:
+        format: Marks the file.
+        schema_version: Version of the format.
+        verdicts: By name of the scene.
+    """
 
     format: Literal["challenger-bench review"] = FORMAT
     schema_version: int = Field(alias="schema")

@@ -16,7 +16,13 @@ PlaceName = Literal["roundabout", "car-park", "junction", "bend", "straight", "u
 
 
 class ForecastRow(Stored):
-    """A planner's expectation of the others, as it gave it."""
+    """A planner's expectation of the others, as it gave it.
+
+    Attributes:
+        boxes: x, y, length, width, yaw of each object now, frame of the plan.
+        trajectories: By object and mode, waypoints at 0.5 s steps.
+        scores: By object and mode.
+    """
 
     boxes: list[list[float]]
     trajectories: list[list[Waypoints]]
@@ -24,7 +30,15 @@ class ForecastRow(Stored):
 
 
 class PlanRow(Stored):
-    """A plan as the planner gave it, in its own frame."""
+    """A plan as the planner gave it, in its own frame.
+
+    Attributes:
+        frame: Axes and reference point of the waypoints.
+        waypoints: 6 to 16 points at 0.5 s steps, metres.
+        modes: Alternatives, as the planner gave them.
+        mode_scores: One for each alternative.
+        forecasts: Of the others, if it makes any.
+    """
 
     frame: Literal["lidar", "ego"]
     waypoints: Waypoints
@@ -39,6 +53,9 @@ class OutcomeRow(Stored):
     ``collision`` is null where the data do not say whom a plan could touch; what ``steps`` has of contacts is no
     verdict then. ``l2`` is in metres, null past the end of the scene; ``counted`` is whether the sample is in
     denominators.
+
+    Attributes:
+        facts: Further values of the protocol, such as what is touched first.
     """
 
     collision: list[bool] | None
@@ -69,6 +86,10 @@ class DiagnosisRow(Stored):
     """Why a colliding plan collides (`benchmark.metrics.diagnosis`).
 
     ``reason`` is the case of the rule, ``hit`` the instance that is touched first.
+
+    Attributes:
+        cause: Verdict of the diagnosis.
+        first_contact_s: Time of the contact after the sample.
     """
 
     cause: Cause
@@ -99,7 +120,12 @@ class LongerPlanRow(Stored):
 
 
 class PlanCollision(CollisionSeverity):
-    """The first contact of a plan in open loop (`benchmark.fairness.plan_severity`); its time is since the sample."""
+    """The first contact of a plan in open loop (`benchmark.fairness.plan_severity`); its time is since the sample.
+
+    Attributes:
+        agent: Instance that is touched.
+        adversary: Whether it is an adversary.
+    """
 
     agent: Text
     adversary: bool
@@ -111,6 +137,9 @@ class PlanNearRow(Stored):
     ``least_ttc_s`` is null where they never head for one another. ``tet_s`` is how long the time to contact is below
     1.5 s, ``tit_s2`` by how much, summed over time. ``pet_s`` is the post-encroachment time, null where the ways do not
     meet within the plan's 3 s, and ``max_btn`` the largest braking threat number.
+
+    Attributes:
+        least_gap_m: Smallest distance of the bodies.
     """
 
     least_gap_m: NotNegative
@@ -125,6 +154,9 @@ class PlanSeverityRow(Stored):
     """Severity of a plan in open loop: its first contact with anything, or how ``near`` it comes to the adversaries.
 
     ``near`` is null with a contact, and where no adversary is there.
+
+    Attributes:
+        contact: The first contact, if there is one.
     """
 
     contact: PlanCollision | None = None
@@ -135,11 +167,19 @@ class SampleRow(Stored):
     """One line of ``samples.jsonl``.
 
     Attributes:
+        scene: Name of its scene.
+        sample_token: Token of the sample.
+        index: Place of the sample in its scene, from 0.
+        timestamp_us: Time of the sample.
         status: ``failed`` where the planner raised; such a row has no plan and no outcomes and is never a zero.
         command: 0 right, 1 left, 2 straight.
+        ego_motion: ``measured`` on the CAN bus or ``derived`` from poses.
         lidar_ahead_m: Lidar origin ahead of the rear axle: what turns an ``ego`` plan into a ``lidar`` one.
         complete: Whether the recording goes on for 3 s.
         recorded_future: (6, 3) x, y, yaw of the recorded lidar origin, null past the end of the scene.
+        plan: The plan, null where the planner failed.
+        error: Traceback of a failure.
+        outcomes: Verdicts by protocol.
         diagnosis: Why the plan collides, or null where it does not under ``exact``.
         disagreements: For each protocol whose verdict on the sample differs from that of ``exact``, the cause
             (`benchmark.metrics.disagreement`).

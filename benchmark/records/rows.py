@@ -312,3 +312,12 @@ def _unknown(columns: "RowColumns", protocol: str) -> Bools:
     if definition_of(protocol).counts_incomplete:
         could = could | columns.flags("recorded")
     return columns.failed & could
+
+
+def find_raised_line(error: str) -> str:
+    """The line of a traceback that says what was raised."""
+    # A message may have many lines; the one that names the exception is the last that is not indented.
+    lines = [line for line in error.rstrip().splitlines() if line.strip()]
+    last_frame = max((number for number, line in enumerate(lines) if line.startswith('  File "')), default=-1)
+    raised = [line for line in lines[last_frame + 1 :] if not line.startswith(" ")]
+    return (raised or lines or ["no message"])[0].strip()

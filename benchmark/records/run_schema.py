@@ -37,8 +37,12 @@ class PlannerFacts(Stored):
     """Which planner ran.
 
     Attributes:
+        name: Shown in tables.
         privileged: Whether it saw boxes, the map or the recorded future.
+        weights_sha256: Of its weights, if it has any.
         code_sha256: Of the code that its plans depend on (`benchmark.runs.code_identity`).
+        settings: Plain values that its plans depend on.
+        seed: Of its noise.
         native_protocol: Protocol of the planner's own repository, if it has one.
         published_as: What the paper calls it, if it ran it.
         miniature: Whether it is a small network that shows the pipeline and ranks nothing (docs/miniatures.md).
@@ -65,8 +69,10 @@ class InputFacts(Stored):
     """Inputs of a scene beside annotations, and those among them that make no sense.
 
     Attributes:
+        samples: Number of its samples.
         lanes: Lanes of the map around the ego; 0 where the map has none, or there is no map.
         off_road: Samples at which the recorded ego is off the drivable area; null where the map has none.
+        cameras: Number of its cameras.
         lidar: Whether the data set says where the lidar sits; if not, it is taken to sit as on nuScenes' cars.
         jumps: Boxes that went faster than anything on a road since their last annotation.
         moving: Objects that move fast enough to tell their direction.
@@ -134,7 +140,13 @@ class SceneFacts(Stored):
 
 
 class DataFacts(Stored):
-    """Which data set: its name and the hash of its content."""
+    """Which data set: its name and the hash of its content.
+
+    Attributes:
+        name: Of the data set.
+        version: Its version folder.
+        fingerprint: Hash of its content.
+    """
 
     name: Name
     version: str
@@ -145,6 +157,11 @@ class ReviewFacts(Stored):
     """Verdicts of inspectors on the scenes of a split (`benchmark.records.review`); ``content`` is their hash.
 
     Rejected scenes are not judged; scenes without a verdict are.
+
+    Attributes:
+        accepted: Number of scenes.
+        rejected: Number of scenes.
+        not_reviewed: Number of scenes without a verdict.
     """
 
     content: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -157,6 +174,9 @@ class GeneratedFacts(Stored):
     """Which search the scenes of a generated split come from: its seed, and the hash of what else decided it.
 
     ``search`` is null where the data set does not say (`benchmark.records.attempts`).
+
+    Attributes:
+        seed: Of the search.
     """
 
     seed: Seed
@@ -171,14 +191,19 @@ class PlanFileFacts(Stored):
     """Plans that were not made here: what the files say, and what they do not (docs/your-results.md).
 
     Attributes:
+        format: Of which repository.
+        files: SHA-256 of each file.
         order: How it is known which sample a plan belongs to.
+        shown_by: Evidence for the order.
         plans: Samples with a plan in the files.
+        samples: Samples of the split.
         steps: Waypoints of a plan in the files.
         skipped: Samples whose plan cannot be read, and why, by token.
         duplicates: Entries left out because they repeat another one.
         repaired: Plans that the repository itself completes because the answer was too short or too long.
         mirrored: Whether x of the files is mirrored, where files may be either.
         checks: What tests of unit, frame and origin measured, or that they were not testable.
+        lacks: What files of this format never hold.
     """
 
     format: str
@@ -200,6 +225,11 @@ class RecordFacts(Stored):
     """Facts in the first file of a record, of planning and of driving alike.
 
     Attributes:
+        schema_version: Version of the format.
+        planner: Which planner ran.
+        data: On which data set.
+        split: On which split of it.
+        scenes: Names of the scenes that were run.
         scenes_in_split: More than ``scenes`` means that a part was asked for.
         scene_facts: Empty in run records of schema 1.
         frozen_split: Frozen split that the data were built from, if they were; null in older records.
@@ -207,7 +237,10 @@ class RecordFacts(Stored):
         generated: Which search the scenes come from; null of recordings and in older records.
         caveats: Empty in older records.
         status: ``partial`` if the planner failed on any sample, or in any drive.
+        seed: Of the planner and the intervals.
+        config: Settings of the command.
         environment: Packages, processor, commit: where the planner ran.
+        files: SHA-256 of the other files of the record.
     """
 
     schema_version: int = Field(alias="schema")
@@ -246,6 +279,10 @@ class UnchangedFacts(Stored):
     """The record of the same planner on the unchanged recordings of an adversarial split (docs/metrics.md).
 
     ``samples`` is the SHA-256 of its rows.
+
+    Attributes:
+        data: Its data set.
+        split: Its split.
     """
 
     data: DataFacts
@@ -260,6 +297,9 @@ class RunFacts(RecordFacts):
     recordings; ``realism`` is null where it was not measured. ``plans_from`` says which result files the plans come
     from, if any; the environment is then that of the import. All three are null in older records. ``rescored`` is the
     environment of the last `challenger-bench rescore`.
+
+    Attributes:
+        protocols: Version of each protocol that judged.
     """
 
     unchanged: UnchangedFacts | None = None
@@ -280,6 +320,7 @@ class ProtocolSummary(Stored):
     """Summary of a run under one protocol.
 
     Attributes:
+        version: Of the protocol.
         columns: Column name (``collision``, ``l2``, ...) to horizon (``1s``, ``2s``, ``3s``, ``avg``) to rate.
         counted: Samples in the denominators of collision rates at all horizons.
         incomplete: The other samples that were planned: the protocol does not count them, or not at every horizon, or
@@ -307,6 +348,10 @@ class DrivingSummary(Stored):
 
     ``columns`` are by name (``score``, ``nc``, ``filtered_score``, ...), each with its ``mean`` and the share of plans
     that have ``ones`` there. Samples that were planned but have no sub-scores are ``incomplete``.
+
+    Attributes:
+        version: Of the definition.
+        counted: Samples with driving scores.
     """
 
     version: int
@@ -320,6 +365,11 @@ class RunSummary(Stored):
 
     The planner raised on ``failed`` samples; ``coverage`` is the share of the others. ``driving`` is null where no
     sample has driving scores.
+
+    Attributes:
+        schema_version: Version of the format.
+        samples: Samples of the run.
+        protocols: Rates by protocol.
     """
 
     schema_version: int = Field(alias="schema")

@@ -31,7 +31,18 @@ Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class ReferenceDriverCollision(Stored):
-    """First contact of a reference driver; the impact speed is the size of the difference of the velocities."""
+    """First contact of a reference driver; the impact speed is the size of the difference of the velocities.
+
+    Attributes:
+        time_s: Since the scene's first frame.
+        party: Whether an adversary or another road user.
+        instance: Of the other.
+        category: Of the other.
+        kind: Kind of contact.
+        ego_speed_m_s: Of the driver.
+        other_speed_m_s: Of the other.
+        impact_speed_m_s: Of one relative to the other.
+    """
 
     time_s: float
     party: Party
@@ -48,6 +59,11 @@ class ReferenceDriverRun(Stored):
 
     ``reacted_s`` is when it first finds something unsafe, ``reacted_to`` the party; null where it never does, or is no
     driver that reacts. ``beyond_end`` is whether it leaves the recorded path, where no road is known.
+
+    Attributes:
+        survives: Whether it touches nothing.
+        contact: Its first contact, if there is one.
+        reacted_to_instance: Instance of that party.
     """
 
     survives: bool
@@ -74,6 +90,12 @@ class CollisionSeverity(Stored):
     ``at_fault`` is whether the ego is to blame, null where only a map could tell and there is none.
     ``impact_speed_m_s`` is the size of the difference of the velocities, ``fatal_probability`` that of those in the
     ego.
+
+    Attributes:
+        time_s: When it begins.
+        kind: Kind of contact, as nuPlan classifies it.
+        delta_v_ego_m_s: Change of velocity of the ego.
+        delta_v_other_m_s: Change of velocity of the other.
     """
 
     time_s: float
@@ -96,6 +118,7 @@ class InteractionSeverity(Stored):
         pet_s: Post-encroachment time, 0 in contact; null where their ways do not meet within 5 s.
         pet_first: Who was there first; ``none`` in contact.
         max_btn: Largest braking threat number.
+        contact: Their first contact, if there is one.
     """
 
     least_gap_m: NotNegative | None
@@ -148,6 +171,7 @@ class SceneAssessment(Stored):
         definition: `DEFINITION` by which it was judged.
         adversary: Its instance identifier, that of the recording in what this program makes; null where none is known,
             and then everything that needs one is null as well.
+        category: Of the adversary.
         tracks: ``generated`` where its 12 Hz track was at hand, ``annotated`` where what a reader interpolates between
             keyframes was.
         has_map: Whether manoeuvres had to stay on the drivable area.
@@ -161,6 +185,7 @@ class SceneAssessment(Stored):
         margin_s: From 0.75 s after the adversary is first visible to the last chance.
         unsolvable: Whether no driver could have avoided it.
         encounter: With the recorded ego.
+        faults: Of its track.
     """
 
     definition: Annotated[int, Field(ge=1)] = DEFINITION
@@ -198,6 +223,19 @@ class AssessmentSummary(Stored):
     ``unsolvable`` (`is_unsolvable`) and the numbers after it are null where no adversary is known. ``margin_s`` is the
     least time from 0.75 s after an adversary is first visible to the last chance, ``contact`` the recorded ego's first
     contact with an adversary. ``unknown_faults`` could not be told of some track.
+
+    Attributes:
+        definition: Version of the definition.
+        tracks: ``generated`` or ``annotated``, as in `SceneAssessment`.
+        has_map: Whether manoeuvres had to stay on the drivable area.
+        survives: Whether each reference driver has no contact.
+        least_gap_m: Smallest distance of the bodies.
+        least_ttc_s: Least time to contact.
+        tet_s: Time exposed: how long the time to contact is below 1.5 s.
+        tit_s2: Time integrated: by how much, summed over time.
+        pet_s: Post-encroachment time.
+        max_btn: Largest braking threat number.
+        faults: Faults of the adversaries' tracks.
     """
 
     definition: Annotated[int, Field(ge=1)] = DEFINITION
@@ -262,6 +300,7 @@ class FeatureRealism:
     """Realism of one feature.
 
     Attributes:
+        name: Of the feature, with its unit.
         w1: Wasserstein-1 distance to the recordings, in the unit of the feature.
         w1_of_halves: The same between two halves of the recordings; null where one has no samples.
         w1_in_halves: How many times as far as the halves are from one another.
@@ -284,6 +323,11 @@ class CtgRow(Stored):
 
     ``normalisation`` is how scenes are put together, ``mask`` which agents count. The means are over the agents'
     histograms and over the relative ones, null where the code gives none.
+
+    Attributes:
+        version: Of the code that is reproduced.
+        mean_real_dev: Mean over the agents' histograms.
+        mean_real_dev_int: Mean over the relative histograms.
     """
 
     version: Text
@@ -294,7 +338,14 @@ class CtgRow(Stored):
 
 
 class ValidityRow(Stored):
-    """One kind of fault over all adversaries: how many have it, of how many could be asked, why not of the others."""
+    """One kind of fault over all adversaries: how many have it, of how many could be asked, why not of the others.
+
+    Attributes:
+        fault: Kind of fault.
+        count: Adversaries that have it.
+        of: Adversaries of which it is known.
+        unknown: Reasons why it is not known of others.
+    """
 
     fault: TrackDefectName
     count: Annotated[int, Field(ge=0)]
@@ -308,6 +359,11 @@ class SplitRealism(Stored):
     ``reference`` are the recordings they are compared with, null where they are not and ``not_compared`` says why.
     ``samples`` counts those of adversaries, then of recordings. ``worst`` names the worst feature, which is the
     headline; ``ctg`` is for comparison with the literature.
+
+    Attributes:
+        adversaries: How many there are.
+        validity: Faults of their tracks, by kind.
+        features: Distance of each feature from the recordings.
     """
 
     adversaries: Annotated[int, Field(ge=0)]

@@ -42,6 +42,13 @@ class PageEgo(Stored):
     """Recorded motion of the ego's rear axle, one value a frame, relative to the sheet's origin.
 
     ``centre_ahead_m`` is the centre of the body ahead of the rear axle.
+
+    Attributes:
+        x_m: East of the origin.
+        y_m: North of the origin.
+        yaw_rad: Heading.
+        length_m: Of the body.
+        width_m: Of the body.
     """
 
     x_m: tuple[float, ...]
@@ -56,6 +63,14 @@ class PageAgent(Stored):
     """One annotated object: its box centres relative to the sheet's origin, and headings.
 
     ``size_m`` is length, width, height. The values begin at frame ``first`` and are null where it is not there.
+
+    Attributes:
+        id: Instance identifier.
+        category: In nuScenes' words.
+        adversary: Whether it is one.
+        x_m: East of the origin.
+        y_m: North of the origin.
+        yaw_rad: Heading.
     """
 
     id: str
@@ -69,14 +84,26 @@ class PageAgent(Stored):
 
 
 class PageDivider(Stored):
-    """A divider; ``paint`` is a `benchmark.road_map.DividerKind`."""
+    """A divider; ``paint`` is a `benchmark.road_map.DividerKind`.
+
+    Attributes:
+        points: Of the line.
+    """
 
     points: Ring
     paint: str
 
 
 class PageMap(Stored):
-    """The road around the ego's way."""
+    """The road around the ego's way.
+
+    Attributes:
+        drivable: Drivable area.
+        crossings: Pedestrian crossings.
+        walkways: Pavements.
+        carparks: Car parks.
+        dividers: Lane and road dividers.
+    """
 
     drivable: tuple[Polygon, ...] = ()
     crossings: tuple[Polygon, ...] = ()
@@ -86,7 +113,15 @@ class PageMap(Stored):
 
 
 class PageCamera(Stored):
-    """Cell of one camera in the pictures, pixels of the picture."""
+    """Cell of one camera in the pictures, pixels of the picture.
+
+    Attributes:
+        name: Of the camera.
+        left: First column.
+        top: First row.
+        width: Of the cell.
+        height: Of the cell.
+    """
 
     name: str
     left: int
@@ -99,12 +134,21 @@ class ScenePage(Stored):
     """Content of the page of one scene.
 
     Attributes:
+        schema_version: Version of the format.
+        data: Data set that it shows.
+        split: Split of the data set.
+        scene: Name of the scene.
         source: Recorded scene that it was made from; its own name if it is a recording.
+        description: Free text of the tables.
         labels: Labels of each adversary (``generation.labels.labelling``), as the data set says it.
         origin_m: (x, y) in the global frame; all positions are relative to it.
         timestamps_us: One a frame (12 Hz).
         keyframes: Frames that are samples.
+        sample_tokens: One for each sample.
+        ego: The recorded ego.
         agents: Everything annotated; adversaries last.
+        road: The map around it.
+        cameras: Where each camera is in the pictures.
         pictures: Frames that have a picture of all cameras, ``cameras/<frame, six digits>.webp``.
         adversary_edges: For such a frame (as text) and each camera that sees an adversary: edges of its 3-D box as
             (x1, y1, x2, y2) in pixels of the picture, cut at the cell's borders.
@@ -143,6 +187,9 @@ class TraceRound(Stored):
     """One round of refinement: (B, M) simulated points (x, y) relative to the sheet's origin, half a second apart.
 
     ``scores`` are (B,), lower is better, null where infinite; ``collision_free`` is how many candidates touch nothing.
+
+    Attributes:
+        candidates: Simulated tracks.
     """
 
     candidates: tuple[Ring, ...]
@@ -151,7 +198,14 @@ class TraceRound(Stored):
 
 
 class TraceFrame(Stored):
-    """One planning frame: its rounds, and which candidate of which round was executed."""
+    """One planning frame: its rounds, and which candidate of which round was executed.
+
+    Attributes:
+        frame: Index in the scene.
+        rounds: Rounds of refinement.
+        chosen_round: Round of the executed candidate.
+        chosen: Its place in the round.
+    """
 
     frame: int
     rounds: tuple[TraceRound, ...]
@@ -160,7 +214,16 @@ class TraceFrame(Stored):
 
 
 class RefinementTrace(Stored):
-    """``rounds.json``: the search for one adversary, with version and fingerprint of it and its trajectory model."""
+    """``rounds.json``: the search for one adversary, with version and fingerprint of it and its trajectory model.
+
+    Attributes:
+        schema_version: Version of the format.
+        scene: Name of the scene.
+        agent: The adversary's instance.
+        origin_m: As in the sheet.
+        search: Version and fingerprints.
+        frames: Planning frames.
+    """
 
     schema_version: int = Field(alias="schema")
     scene: str
@@ -171,7 +234,15 @@ class RefinementTrace(Stored):
 
 
 class AttemptFacts(Stored):
-    """One vehicle that the search tried, with the scene that it became or the reason why not; the other is null."""
+    """One vehicle that the search tried, with the scene that it became or the reason why not; the other is null.
+
+    Attributes:
+        source: Recorded scene.
+        agent: Vehicle that was tried.
+        scene: Scene that it became.
+        discarded: Reason why it became none.
+        manoeuvre: Primary manoeuvre.
+    """
 
     source: str
     agent: str
@@ -197,6 +268,13 @@ class SplitPage(Stored):
     ``attempts`` are of generated splits, ``runtime`` is there if this machine measured the seconds of each stage.
     ``review`` is null where no verdict stands, and ``hyper``, the settings of the search, empty where they are not
     known.
+
+    Attributes:
+        schema_version: Version of the format.
+        data: Data set.
+        split: Split of the data set.
+        scenes: Names of its scenes.
+        statistics: The split in numbers.
     """
 
     schema_version: int = Field(alias="schema")

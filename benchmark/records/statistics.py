@@ -20,6 +20,12 @@ class TableCounts(_StatisticsModel):
     """Numbers of table rows that belong to some scenes: the paper's table "Overview of the Adv-nuSc Dataset".
 
     ``instances`` have an annotation in the scenes, ``ego_poses`` are those that sensor data of the scenes name.
+
+    Attributes:
+        scenes: Rows of ``scene``.
+        samples: Rows of ``sample``.
+        sample_data: Rows of ``sample_data``.
+        annotations: Rows of ``sample_annotation``.
     """
 
     instances: int
@@ -31,7 +37,15 @@ class TableCounts(_StatisticsModel):
 
 
 class Quantiles(_StatisticsModel):
-    """Quantiles of a distribution that has values."""
+    """Quantiles of a distribution that has values.
+
+    Attributes:
+        least: Minimum.
+        tenth: 10 %.
+        median: 50 %.
+        ninetieth: 90 %.
+        most: Maximum.
+    """
 
     least: float
     tenth: float
@@ -44,6 +58,11 @@ class ManoeuvreRow(_StatisticsModel):
     """One kind of manoeuvre in a data set: adversaries whose primary kind it is, and those that did it at all.
 
     ``places`` and ``median_gap_m`` (the median smallest gap, ``None`` if there are none) are of the primary ones.
+
+    Attributes:
+        manoeuvre: Its name.
+        primary: Adversaries whose primary manoeuvre it is.
+        occurred: Adversaries that did it at all.
     """
 
     manoeuvre: str
@@ -57,12 +76,14 @@ class SplitStatistics(_StatisticsModel):
     """A split, or a whole data set (``split`` is ``None``), in numbers.
 
     Attributes:
+        counts: Rows of tables.
         adversaries_per_scene: Number of scenes by number of adversaries; empty for recordings.
         labelled: Adversaries with labels.
         manoeuvres: Rows by falling number; empty without labels.
         places: Adversaries by place of the closest approach.
         gap_m: Smallest gap between the bodies; ``None``, stored as an empty object, without labels.
         time_to_collision_s: Of those that came within 5 s of a collision.
+        within_5_s: How many came within 5 s of a collision.
         published_adv_nusc: What the paper prints for its own data set; quoted, not counted.
     """
 
@@ -88,7 +109,13 @@ class SplitStatistics(_StatisticsModel):
 
 
 class BuildRuntime(_StatisticsModel):
-    """Processor seconds of a build, by stage, and how many attempts and rendered scenes are timed."""
+    """Processor seconds of a build, by stage, and how many attempts and rendered scenes are timed.
+
+    Attributes:
+        attempts: Attempts that were timed.
+        scenes: Scenes whose rendering was timed.
+        total_s: Seconds by stage.
+    """
 
     attempts: int
     scenes: int

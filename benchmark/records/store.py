@@ -27,6 +27,8 @@ from benchmark.records.run_schema import SCHEMA
 from benchmark.untrusted.files import RECORD
 
 RUN_FILE, ROWS_FILE, SUMMARY_FILE = "run.json", "samples.jsonl", "summary.json"
+DRIVE_FILE: Final = "drive.json"
+"""The first file of a record of drives."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,20 +253,26 @@ class RecordIdentity:
     planner: str
 
 
-def list_recorded(folders: Iterable[Path]) -> tuple[RecordIdentity, ...]:
-    """Data, split and planner of each record below folders, sorted, each once; the folders need not exist.
+def list_record_places(folders: Iterable[Path], head: str = RUN_FILE) -> list[tuple[RecordIdentity, Path]]:
+    """Each record below folders, which need not exist: data, split and planner, and its directory, sorted.
 
-    A damaged record is left out: reading it says so.
+    A damaged record is left out: reading it says so. ``head`` is the first file of a record.
     """
-    identities = set()
+    places = []
     for folder in folders:
-        for path in folder.rglob(RUN_FILE):
+        for path in folder.rglob(head):
             stored: Any = read_cached_json(path)
             try:
-                identities.add(RecordIdentity(stored["data"]["name"], stored["split"], stored["planner"]["name"]))
+                identity = RecordIdentity(stored["data"]["name"], stored["split"], stored["planner"]["name"])
             except (KeyError, TypeError):
                 continue
-    return tuple(sorted(identities))
+            places.append((identity, path.parent))
+    return sorted(places)
+
+
+def list_recorded(folders: Iterable[Path]) -> tuple[RecordIdentity, ...]:
+    """Data, split and planner of each record below folders, sorted, each once, as of `list_record_places`."""
+    return tuple(dict.fromkeys(identity for identity, _ in list_record_places(folders)))
 
 
 def find_record_with_samples(folders: Iterable[Path], samples: Sequence[tuple[str, ...]]) -> RecordIdentity | None:

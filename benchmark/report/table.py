@@ -82,6 +82,10 @@ class Table:
 
     Attributes:
         name: File stem, for example ``collision``.
+        title: Heading, with the name of the data set.
+        columns: Heads.
+        rows: Text of each cell, as it is shown.
+        notes: Sentences below the table.
         text_columns: How many leading columns are text (left-aligned); the others are numbers.
         groups: Labels over columns that cover all of them, or none. Where numbers rest on verdicts the label names the
             protocol.

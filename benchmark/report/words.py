@@ -45,6 +45,11 @@ def inflect_noun(count: int, one: str, many: str | None = None) -> str:
     return f"{one[:-1]}ies" if one.endswith("y") and one[-2] not in "aeiou" else f"{one}s"
 
 
+def spell_name(name: str) -> str:
+    """A stored name as people read it: ``against traffic``."""
+    return name.replace("_", " ")
+
+
 def format_split(split: str, data_name: str) -> str:
     """A split and its data set, as ``split adv of mini``; a data set that is called like its split is named once."""
     return f"split {split}" if data_name == split else f"split {split} of {data_name}"

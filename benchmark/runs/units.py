@@ -21,7 +21,7 @@ from benchmark.machine.progress import CountedUnits
 from benchmark.machine.storage import canonical_json, sanitise_file_name, write_bytes, write_parts, writing_to
 from benchmark.machine.workers import Executor
 from benchmark.records.row_schema import SampleRow
-from benchmark.records.rows import SampleRows
+from benchmark.records.rows import SampleRows, find_raised_line
 from benchmark.untrusted.files import JSON, read_file
 from benchmark.untrusted.text_files import parse_json
 
@@ -48,16 +48,7 @@ def write_failures(directory: Path, rows: Sequence[SampleRow]) -> None:
 def find_first_failure(rows: Sequence[SampleRow]) -> str | None:
     """The last line of the first traceback, which says what was raised; ``None`` if nothing was."""
     error = next((row.error for row in rows if row.error is not None), None)
-    if error is None:
-        return None
-    # A message may have many lines; the one that names the exception is the last that is not indented.
-    lines = [line for line in error.rstrip().splitlines() if line.strip()]
-    raised = [line for line in lines[_last_frame(lines) + 1 :] if not line.startswith(" ")]
-    return (raised or lines or ["no message"])[0].strip()
-
-
-def _last_frame(lines: Sequence[str]) -> int:
-    return max((number for number, line in enumerate(lines) if line.startswith('  File "')), default=-1)
+    return None if error is None else find_raised_line(error)
 
 
 Value = TypeVar("Value")

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from benchmark.errors import InputError
 from benchmark.planning import (
     Forecasts,
+    NoViews,
     Plan,
     Planner,
     PlannerGoneError,
@@ -33,7 +34,7 @@ from benchmark.planning import (
     reads_message_after,
 )
 from benchmark.runs.code_identity import hash_loaded_code
-from benchmark.runs.plan_rows import format_traceback, seed_everything
+from benchmark.runs.plan_rows import FAILURES, format_traceback, seed_everything
 from benchmark.sandbox.frames import ClosedError, encode_answer, receive_question
 from benchmark.sandbox.limits import BEAT_S, seed_torch_on_import, use_one_thread
 from benchmark.sandbox.observation_packing import ObservationUnpacker
@@ -134,7 +135,7 @@ class PlannerRequestHandler:
             use_one_thread()
             return ["built", facts.model_dump_json(), _list_abilities(self.planner)]
         except InputError as error:
-            return ["refused", str(error)]
+            return ["refused", str(error), _sanitise_text(f"in the process of the planner:\n{traceback.format_exc()}")]
 
     def begin_run(self) -> list[Any]:
         """Forget everything."""
@@ -161,7 +162,13 @@ class PlannerRequestHandler:
     def plan(self, packed: Sequence[Any], ready: dict[str, tuple[int, tuple[int, ...], bool]]) -> list[Any]:
         """Plan; pictures that are not ready are asked for when the planner looks."""
         self._ready, self._looked = ready, {}
-        plan = self._planner.plan(self._unpacking.unpack(packed, partial(self.picture, self.number)))
+        observation = self._unpacking.unpack(packed, partial(self.picture, self.number))
+        try:
+            plan = self._planner.plan(observation)
+        except FAILURES as error:
+            if isinstance(observation.views, NoViews) and observation.views.looked:
+                return ["raised unseeing", *_describe_error(error)]
+            raise
         left, self._ready = self._ready, {}
         self.viewer.release_unread(place for place, _, _ in left.values())
         if not isinstance(plan, Plan):

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.planning import CameraView, Command, EgoState, Observation
+from benchmark.planning import CameraView, Command, EgoState, NoViews, Observation
 from benchmark.scene import Camera, LidarMount
 
 Layout = tuple[tuple[np.dtype[Any], tuple[int, ...]] | None, ...]
@@ -35,8 +35,8 @@ class ObservationPacker:
             *(ego.can_motion, ego.can_motion_after, seen.past_poses, seen.past_valid),
             *(lidar.translation, lidar.rotation),
         ]
-        views = []
-        for name, view in seen.views.items():
+        unseeing, views = isinstance(seen.views, NoViews), []
+        for name, view in () if unseeing else seen.views.items():
             camera = view.camera
             arrays += [camera.translation, camera.rotation, camera.intrinsic, view.global_T_ego]
             views.append((name, camera.name, camera.width, camera.height, str(view.path), view.timestamp_us))
@@ -44,7 +44,7 @@ class ObservationPacker:
         known, self._said = layout == self._said, layout
         values = (seen.scene, seen.sample_token, seen.index, seen.timestamp_us, int(seen.command))
         motion = (ego.yaw_rate, ego.steering_angle, ego.source)
-        return values, motion, views, None if known else layout, _join_bytes(arrays)
+        return values, motion, None if unseeing else views, None if known else layout, _join_bytes(arrays)
 
 
 class ObservationUnpacker:
@@ -68,8 +68,8 @@ class ObservationUnpacker:
             next(arrays) for _ in range(7)
         )
         past_poses, past_valid, lidar_translation, lidar_rotation = (next(arrays) for _ in range(4))
-        camera_views = {}
-        for name, called, width, height, path, time_us in views:
+        camera_views: dict[str, CameraView] = NoViews() if views is None else {}
+        for name, called, width, height, path, time_us in views or ():
             translation, camera_rotation, intrinsic, view_pose = (next(arrays) for _ in range(4))
             camera = Camera(called, translation, camera_rotation, intrinsic, width, height)
             camera_views[name] = CameraView(camera, self._path(path), time_us, view_pose, partial(load, name))

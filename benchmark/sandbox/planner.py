@@ -67,6 +67,7 @@ def find_identity(maker: PlannerSpec, supervision: SandboxLimits) -> PlannerIden
     try:
         return _build_planner(process, maker, supervision)
     except PlannerFailedError as error:
+        error.add_note(error.text)
         raise InputError(f"model {maker.called!r} cannot be loaded: {error}") from error
     finally:
         process.end()
@@ -225,8 +226,10 @@ def _build_planner(process: PlannerProcess, maker: PlannerSpec, supervision: San
         doing="importing and building it did not end",
         limit_s=supervision.longest_loading_s,
     )
-    if answer[0] == "refused":
-        raise InputError(str(answer[1]))
+    if answer[0] == "refused" and len(answer) == 3:
+        refusal = InputError(str(answer[1]))
+        refusal.add_note(str(answer[2]))
+        raise refusal
     try:
         _check_answer(answer, ("built",))
         traits = {name: bool(value) for name, value in answer[2].items()}
@@ -241,8 +244,8 @@ def _check_answer(answer: list[Any], expected: tuple[str, ...]) -> list[Any]:
     if kind in expected:
         return answer
     words = [str(word) for word in rest]
-    if kind == "raised" and len(words) == 2:
-        raise PlannerFailedError(*words)
+    if kind in ("raised", "raised unseeing") and len(words) == 2:
+        raise PlannerFailedError(*words, looked=kind == "raised unseeing")
     if kind == "late" and words:
         raise PlannerLateError(words[0])
     if kind == "gone" and words:

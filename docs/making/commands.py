@@ -55,11 +55,14 @@ def _walk(command: Any, path: str) -> Iterator[tuple[str, Any]]:
 def _section(path: str, command: Any) -> list[str]:
     """Heading, what it does, how it is called, and a table of what it takes."""
     context = command.make_context(path, [], resilient_parsing=True)
-    for each in command.params:
+    rare = [each for each in command.params if each.hidden]
+    for each in rare:
         # What help leaves out as rare stands here too.
         each.hidden = False
     pieces = " ".join(command.collect_usage_pieces(context))
     taken = [each.get_help_record(context) for each in command.get_params(context)]
+    for each in rare:
+        each.hidden = True
     rows = [f"| {_code(names)} | {_cell(text)} |" for names, text in filter(None, taken)]
     level = "#" if " " not in path else "##"
     return [

@@ -10,8 +10,9 @@ from pathlib import Path
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, lock_folder
-from benchmark.records.attempts import ATTEMPTS_FILE, parse_seed
+from benchmark.records.attempts import ATTEMPTS_FILE
 from benchmark.records.review import StandingVerdict
+from benchmark.records.seed_splits import parse_seed
 from benchmark.report.words import pluralise
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, SourceInfo

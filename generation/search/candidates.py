@@ -288,7 +288,14 @@ def _find_launch_near_ego(scene: Scene, agent: int, hyper: HyperParameters) -> i
 
 
 class VehicleEligibility(BaseModel):
-    """One four-wheeled vehicle, and the reason why it is not tried (``None`` for one that is)."""
+    """One four-wheeled vehicle, and the reason why it is not tried (``None`` for one that is).
+
+    Attributes:
+        agent: Its index in the scene.
+        agent_id: Its instance.
+        category: In nuScenes' words.
+        reason: Why it is not tried.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -299,7 +306,13 @@ class VehicleEligibility(BaseModel):
 
 
 class Eligibility(BaseModel):
-    """Four-wheeled vehicles of one scene and which of them are tried; ``objects`` counts everything annotated."""
+    """Four-wheeled vehicles of one scene and which of them are tried; ``objects`` counts everything annotated.
+
+    Attributes:
+        schema_version: Version of the format.
+        scene_name: Recorded scene.
+        vehicles: Four-wheeled vehicles.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -1,7 +1,7 @@
 """Differences of the presets ``paper`` and ``reference`` from what they are named after, each with its reason.
 
-Shown by ``generate --preset NAME --dry-run`` and in ``docs/generation.md``. What the paper leaves open is no departure;
-`INTERPRETATIONS` says how it is read and what each reading kept where it was tried.
+Shown by ``generate --preset NAME --dry-run`` and in ``docs/reference/differences-from-paper.md``. What the paper
+leaves open is no departure; `INTERPRETATIONS` says how it is read and what each reading kept where it was tried.
 """
 
 from dataclasses import dataclass, fields

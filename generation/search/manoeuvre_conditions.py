@@ -1,8 +1,7 @@
 """How far a candidate is from what the label of a manoeuvre asks for (docs/manoeuvres.md), condition by condition.
 
-Each condition, in the frame of the ego's driven path, is turned into metres that are missing until it holds;
-docs/generation.md has the table. Bodies are rectangles of the straight path here, where labels project every corner:
-the label decides in the end.
+Each condition, in the frame of the ego's driven path, is turned into metres that are missing until it holds.
+Bodies are rectangles of the straight path here, where labels project every corner: the label decides in the end.
 """
 
 from collections.abc import Callable

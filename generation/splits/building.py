@@ -9,10 +9,10 @@ from typing import Any, Final
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, lock_folder, read_cached_json, write_json
-from benchmark.records.attempts import parse_seed
 from benchmark.records.review import REJECTED, StandingVerdict
 from benchmark.records.scene_assessment import SceneAssessment, is_unsolvable
-from benchmark.report.words import pluralise
+from benchmark.records.seed_splits import parse_seed
+from benchmark.report.words import pluralise, spell_name
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, SourceInfo
 from generation.nuscenes_writer.plan import STATE_FOLDER
@@ -115,7 +115,7 @@ class FrozenBuildReport:
         if self.verified_by == ALGORITHM_VERSION:
             return ""
         if self.edited:
-            wrong = "; ".join(f"{name}: {', '.join(names)}" for name, names in self.faults.items() if names)
+            wrong = "; ".join(f"{name}: {spell_name(', '.join(names))}" for name, names in self.faults.items() if names)
             return f"\n  edited and not verified; faults of motion (docs/realism.md): {wrong or 'none'}"
         return (
             f"\n  verified by version {self.verified_by} of the search, as frozen; today's search verifies by version "

@@ -11,8 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, content_key, read_json, write_bytes
-from benchmark.records.attempts import is_adversarial
 from benchmark.records.review import LONGEST_REASON
+from benchmark.records.seed_splits import is_adversarial
 from benchmark.records.store import validate_stored
 
 FORMAT: Final = "challenger-bench frozen split"
@@ -38,7 +38,12 @@ class _FrozenModel(BaseModel):
 
 
 class FrozenAdversary(_FrozenModel):
-    """One adversary: from ``launch_frame`` (12 Hz), where it was ``recorded``, it follows the track to the end."""
+    """One adversary: from ``launch_frame`` (12 Hz), where it was ``recorded``, it follows the track to the end.
+
+    Attributes:
+        instance: Instance of the recording.
+        track: x, y, yaw of the box centre at 12 Hz.
+    """
 
     instance: _Name
     launch_frame: Annotated[int, Field(ge=0, le=1_000_000)]
@@ -50,6 +55,11 @@ class FrozenScene(_FrozenModel):
     """One scene, with its adversaries in the order in which they were planned.
 
     ``tables`` is a hash with numbers rounded to a nanometre (`generation.splits.tracks`), ``images`` one of key frames.
+
+    Attributes:
+        name: Of the new scene.
+        source: Recorded scene.
+        adversaries: Their tracks.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$", max_length=200)]
@@ -74,7 +84,12 @@ class FrozenScene(_FrozenModel):
 
 
 class RecordingsIdentity(_FrozenModel):
-    """The data set that a split was frozen from: its name, and its content hash there."""
+    """The data set that a split was frozen from: its name, and its content hash there.
+
+    Attributes:
+        name: Of the data set.
+        fingerprint: Hash of its content.
+    """
 
     name: str
     fingerprint: str
@@ -84,6 +99,12 @@ class SearchMetadata(_FrozenModel):
     """Hashes that identify a search, and its seed.
 
     ``solvable`` says whether scenes that no driver could have avoided were dropped; none were in files without.
+
+    Attributes:
+        algorithm: Version of the search.
+        hyper: Hash of its settings.
+        prior: Hash of the trajectory model.
+        seed: Of the search.
     """
 
     algorithm: str
@@ -100,7 +121,13 @@ class SearchMetadata(_FrozenModel):
 
 
 class FrozenRejection(_FrozenModel):
-    """A scene that an inspector rejected before the split was frozen: its name, its token there, and why."""
+    """A scene that an inspector rejected before the split was frozen: its name, its token there, and why.
+
+    Attributes:
+        name: Of the scene.
+        token: Of the scene.
+        reason: The inspector's.
+    """
 
     name: _Name
     token: _Name
@@ -112,6 +139,14 @@ class SceneChoice(_FrozenModel):
 
     ``surrogate`` fails every scene, if one was asked. Files without inspectors' rejections, ``variants`` that were to
     differ or ``asked`` manoeuvres have no such fields.
+
+    Attributes:
+        scenes: Recorded scenes that were searched.
+        tried: Vehicles that were tried.
+        survived: Attempts that passed verification.
+        per_scene: Most scenes of one recording.
+        total: Most scenes of all.
+        rejected: Scenes that inspectors rejected.
     """
 
     scenes: int
@@ -133,7 +168,15 @@ class SceneChoice(_FrozenModel):
 
 
 class ImageMetadata(_FrozenModel):
-    """Which images the hashes of images are of: renderer, its version, size in pixels and JPEG quality."""
+    """Which images the hashes of images are of: renderer, its version, size in pixels and JPEG quality.
+
+    Attributes:
+        renderer: Its name.
+        version: Of the renderer.
+        width: Pixels.
+        height: Pixels.
+        jpeg_quality: Of the files.
+    """
 
     renderer: str
     version: str
@@ -143,7 +186,17 @@ class ImageMetadata(_FrozenModel):
 
 
 class FrozenSplit(_FrozenModel):
-    """A frozen split, its scenes most challenging first; ``images`` is null if no scene has an image hash."""
+    """A frozen split, its scenes most challenging first; ``images`` is null if no scene has an image hash.
+
+    Attributes:
+        format: Marks the file.
+        schema_version: Version of the format.
+        split: Always ``adv``.
+        recordings: Data set that it was made from.
+        search: Which search.
+        chosen: How scenes were chosen.
+        scenes: Scenes and tracks.
+    """
 
     format: Literal["challenger-bench frozen split"] = FORMAT
     schema_version: Annotated[int, Field(alias="schema")] = SCHEMA

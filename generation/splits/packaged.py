@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key
-from benchmark.records.attempts import format_seed_split, parse_seed
+from benchmark.records.seed_splits import format_seed_split, parse_seed
 from generation.splits.format import FrozenScene, FrozenSplit, SceneChoice, SearchMetadata, read_frozen
 
 _FOLDER: Final = Path(__file__).parent

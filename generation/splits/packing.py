@@ -43,7 +43,13 @@ Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
 class PackedFile(Stored):
-    """One file of a package: what it is, how many bytes it has, and their SHA-256."""
+    """One file of a package: what it is, how many bytes it has, and their SHA-256.
+
+    Attributes:
+        kind: What it is.
+        bytes: Its size.
+        sha256: Of its bytes.
+    """
 
     kind: Kind
     bytes: Annotated[int, Field(ge=0)]
@@ -51,7 +57,15 @@ class PackedFile(Stored):
 
 
 class PackedSplit(Stored):
-    """One frozen split of a package, by `FrozenSplit.content_id`, with name and content hash of its recordings."""
+    """One frozen split of a package, by `FrozenSplit.content_id`, with name and content hash of its recordings.
+
+    Attributes:
+        name: Of the split.
+        content: Hash of the frozen split.
+        scenes: How many it has.
+        recordings: Name of the data set that it was made from.
+        fingerprint: Content hash of that data set.
+    """
 
     name: Annotated[str, Field(pattern=_PLAIN.pattern, max_length=200)]
     content: Hash
@@ -61,7 +75,14 @@ class PackedSplit(Stored):
 
 
 class PackageManifest(Stored):
-    """``manifest.json``, the first file of a package; ``files`` are all the others."""
+    """``manifest.json``, the first file of a package; ``files`` are all the others.
+
+    Attributes:
+        format: Marks the file.
+        schema_version: Version of the format.
+        made_with: Version of challenger-bench.
+        splits: Frozen splits.
+    """
 
     format: Literal["challenger-bench split package"] = FORMAT
     schema_version: Annotated[int, Field(alias="schema")] = SCHEMA

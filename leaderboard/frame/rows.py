@@ -5,11 +5,11 @@ from dataclasses import replace
 from typing import Final, Protocol
 
 from benchmark.metrics.scores import find_protocol_version, map_scenes_to_sources
-from benchmark.records.attempts import is_adversarial
 from benchmark.records.planner_versions import list_file_notes
 from benchmark.records.review import NOT_REVIEWED, describe_review
 from benchmark.records.run import NATIVE, RunRecord
 from benchmark.records.run_schema import PlannerFacts, RecordFacts
+from benchmark.records.seed_splits import is_adversarial
 from benchmark.report.cells import MINIATURE_MARK, MINIATURE_WORDS, TableCell
 from benchmark.report.words import pluralise
 
@@ -31,7 +31,7 @@ BASELINES: Final = frozenset(
 OFF_SCALE: Final = "stop"
 """It is hit wherever it stands: figures whose axis had to reach it would show nothing of the others."""
 FEW_SCENES = 20
-"""Below this many recorded scenes the intervals are clearly too narrow (docs/metrics.md has the measurement)."""
+"""Below this many recorded scenes the intervals are clearly too narrow (docs/studies/intervals.md)."""
 FEW_NOTE = f"Fewer than {FEW_SCENES} recorded scenes: the intervals are too narrow, only an indication."
 
 

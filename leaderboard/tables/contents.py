@@ -13,11 +13,11 @@ from benchmark.metrics.rates import HORIZONS, SceneSums
 from benchmark.metrics.scores import find_protocol_version, map_scenes_to_sources, score_record
 from benchmark.metrics.search_seeds import combine_seeds, format_seeds
 from benchmark.records.ablation import AblationReport
-from benchmark.records.attempts import parse_seed
 from benchmark.records.drives import DriveRecord
 from benchmark.records.driving import PDM
 from benchmark.records.run import RunRecord, resolve_protocol
 from benchmark.records.scene_pages import ScenePages
+from benchmark.records.seed_splits import parse_seed
 from benchmark.report.cells import PERCENT, AnyRate, ValueSource, join_record_names
 from benchmark.report.table import Table
 from leaderboard.frame.rows import name_cell, name_judge, run_notes

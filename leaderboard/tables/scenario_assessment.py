@@ -19,7 +19,7 @@ from benchmark.records.scene_assessment import (
 )
 from benchmark.report.cells import ValueSource, make_value_source
 from benchmark.report.table import Table
-from benchmark.report.words import format_title, pluralise
+from benchmark.report.words import format_title, pluralise, spell_name
 from leaderboard.frame.rows import FEW_NOTE, FEW_SCENES, count_recordings, review_notes, split_sort_key
 from leaderboard.frame.runs import DataSetRuns
 from leaderboard.frame.specification import (
@@ -244,7 +244,7 @@ class _FaultCounts:
         return [
             {
                 "split": self.split,
-                "fault": _format_name(fault),
+                "fault": spell_name(fault),
                 "with it": origin.count(count, self.of, of),
                 "could be told": origin.count(of, self.of, self.count),
                 "%": share_cell(origin, count, of, self.of),
@@ -255,7 +255,7 @@ class _FaultCounts:
 
 def _count_faults(record: RunRecord, realism: SplitRealism) -> _FaultCounts:
     apart = [f"not compared with recordings: {realism.not_compared}"] if realism.not_compared is not None else []
-    unknown = [f"{_format_name(row.fault)}: {why}" for row in realism.validity for why in row.unknown]
+    unknown = [f"{spell_name(row.fault)}: {why}" for row in realism.validity for why in row.unknown]
     notes = tuple(_to_sentence(f"{record.run.split}: {note}") for note in (*apart, *unknown))
     rows = tuple((row.fault, row.count, row.of) for row in realism.validity)
     return _FaultCounts(record, "adversaries", realism.adversaries, rows, notes)
@@ -294,7 +294,7 @@ def _headline_table(data_name: str, headlines: Sequence[tuple[RunRecord, SplitRe
             {
                 **_feature_values(origin, worst, 0 if realism.samples is None else realism.samples[0]),
                 "split": record.run.split,
-                "worst feature": _format_name(worst.name),
+                "worst feature": spell_name(worst.name),
                 "W1 in halves": origin.cell(worst.w1_in_halves, "x", adversaries, "adversaries"),
                 **{
                     name: origin.cell(ctg.get(name), CTG, adversaries, "adversaries") for name in (CTG, "ctg, relative")
@@ -317,7 +317,7 @@ def _realism_table(data_name: str, record: RunRecord, realism: SplitRealism) -> 
     samples, origin = 0 if realism.samples is None else realism.samples[0], make_value_source(record, REALISM)
     rows: list[Mapping[str, Value]] = []
     for row in realism.features:
-        name = _format_name(row.name)
+        name = spell_name(row.name)
         feature = f"{name} {WORST_MARK}" if row.name == realism.worst else name
         rows.append({"feature": feature, **_feature_values(origin, row, samples)})
     reference = "" if realism.reference is None else f" Recordings: {realism.reference}."
@@ -334,10 +334,6 @@ def _feature_values(origin: ValueSource, row: FeatureRealism, samples: int) -> d
         "W1 of halves": origin.cell(row.w1_of_halves, "unit of the feature", samples),
         "W1 in halves": origin.cell(row.w1_in_halves, "x", samples),
     }
-
-
-def _format_name(name: str) -> str:
-    return name.replace("_", " ")
 
 
 def _to_sentence(text: str) -> str:

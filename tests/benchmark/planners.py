@@ -68,6 +68,17 @@ class Remembering(Straight):
         return Plan(AHEAD * self._speed / 4.0, PlanFrame.EGO)
 
 
+class LooksIfItCan(Straight):
+    """Opens its front camera where it has one."""
+
+    name = "looks-if-it-can"
+
+    def plan(self, observation: Observation) -> Plan:
+        if (view := observation.views.get("CAM_FRONT")) is not None:
+            view.load()
+        return super().plan(observation)
+
+
 class LooksAtImages(Straight):
     """Opens its front camera."""
 

@@ -28,6 +28,7 @@ ROOT = Path(__file__).resolve().parents[2]
 FUNCTION_OF = {
     "generate": "generate", "ablate": "ablate", "eval": "evaluate", "drive": "drive_split", "serve": "serve_planner",
     "models": "known_planners", "rescore": "rescore_all", "transfer": "transfer_matrices",
+    "failures": "find_failures",
     "quality": "measure_quality", "sheets": "write_sheets", "film": "write_films", "reproduce": "reproduce",
     "verify": "verify", "demo": "demo", "doctor": "doctor", "data info": "data_contents",
     "data export infos": "export_infos", "data export scenarionet": "export_scenarionet",

@@ -61,7 +61,7 @@ NOT_HERE: Final = (
     (r"--verdicts", "a file of verdicts; tests/benchmark/extensions/review has one"),
     (r"reproduce .*ROOT", "a file of expected values"),
     (r"my_package|--model vad-served", "a planner of your own"),
-    (r"^python (bench/|-m tests)", "a checkout to change, or an hour of measuring"),
+    (r"^python (bench/|-m (bench|tests))", "a checkout to change, or an hour of measuring"),
     (r"--records out/drives", "drives of an earlier command"),
 )
 """Lines that run nowhere in the tests, and what they need."""
@@ -75,7 +75,7 @@ LONGER: Final = (
     r"challenger-bench data (stats|show|export|import|review)",
     r"my_planner",
     r"challenger-bench leaderboard",
-    r"challenger-bench transfer",
+    r"challenger-bench (transfer|failures)",
     r"my-adv-1\.json|boston-adv-1\.json",
     r"submit-check|--freeze|adv-seed-0",
     r"--data (/data/nuscenes|demo) --split adv",

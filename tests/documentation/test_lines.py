@@ -35,7 +35,6 @@ BEFORE = {
     "publishing.md": ["eval --split adv --model constant-velocity", "leaderboard"],
     "site.md": ["eval --split adv --model constant-velocity"],
     "sheets.md": ["eval --split adv --model constant-velocity"],
-    "models.md": ["eval --split adv --model constant-velocity"],
     "quality.md": ["eval --split adv --model constant-velocity"],
     "submissions.md": ["eval --data ROOT --split val --model constant-velocity"],
 }

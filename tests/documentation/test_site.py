@@ -36,7 +36,7 @@ def test_every_page_of_docs_is_in_one_place_of_the_navigation() -> None:
 
 
 def test_the_navigation_has_five_parts_and_the_folders_of_made_pages() -> None:
-    parts = ["Start", "How to", "Explained", "Extensions", "Reference"]
+    parts = ["Start", "How to", "Reference", "Explanation", "Project"]
     assert [name for part in SETTINGS["nav"] for name in part] == parts
     made = {address for address in addresses(SETTINGS["nav"]) if address.endswith("/")}
     pages = [*COMMANDS["command_pages"](), *FACE["face_pages"]()]

@@ -87,7 +87,8 @@ def serve_planner(
     Raises:
         InputError: If the planner cannot be built or wants what is not on the wire, or the port is taken.
     """
-    from adapters.registry import build_planner, is_third_party, planner_factory
+    from adapters.planners.names import is_third_party
+    from adapters.registry import build_planner, planner_factory
     from benchmark.extensions.http.server import PlannerServer
     from benchmark.extensions.http.session import PlannerSession
     from benchmark.machine.metering import disable_malloc_trim_for

@@ -140,18 +140,18 @@ def resolve_planner_names(names: Sequence[str], records: Sequence[Path], everywh
 
     A name stays where the records have none of it; `everywhere` holds all run records, to say what there is instead.
     """
-    from adapters.checkpoints.stand_in import miniature_of
+    from adapters.checkpoints.stand_in import find_recorded_name
     from adapters.models import MODELS
     from benchmark.records.store import describe_recorded, list_recorded
 
     records_found = list_recorded(records)
     ran, shown_names = {planner_name.planner for planner_name in records_found}, []
     for name in names:
+        recorded = find_recorded_name(name, ran)
         own = MODELS[name].name if name in MODELS else name
-        small = miniature_of(own)
-        if name not in ran and own not in ran and small in ran:
+        if recorded not in (None, name, own):
             api.notify_once(
-                f"there are no records of {own}; showing {small}, which ran in its place (docs/miniatures.md)"
+                f"there are no records of {own}; showing {recorded}, which ran in its place (docs/miniatures.md)"
             )
         known = {*ran, *MODELS}
         # Tables may show a planner with a suffix that distinguishes its versions: "vad-base (seed 1)".
@@ -159,16 +159,7 @@ def resolve_planner_names(names: Sequence[str], records: Sequence[Path], everywh
             raise InputError(
                 f"there is no planner {name!r}; {did_you_mean(name, known)}{describe_recorded(records_found)}"
             )
-        shown_names.append(
-            next(
-                (
-                    planner_name
-                    for planner_name in (name, own, small)
-                    if planner_name is not None and planner_name in ran
-                ),
-                name,
-            )
-        )
+        shown_names.append(recorded or name)
     if names and not records_found:
         raise InputError(
             f"there are no run records at {', '.join(map(str, records))}; "

@@ -1,6 +1,7 @@
 """Broken, misplaced and malicious result files: each is refused in one sentence of its kind, and nothing runs."""
 
 import os
+import re
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 from adapters.registry import planner_factory
 from adapters.result_files.importing import import_results
 from adapters.result_files.planner import result_file_factory
-from adapters.result_files.recognition import recognise, require_format
+from adapters.result_files.recognition import FORMATS, recognise, require_format
 from adapters.result_files.samples import read_recorded_samples
 from adapters.result_files.writing.formats import require_writable, write_results
 from benchmark.errors import InputError
@@ -19,6 +20,7 @@ from benchmark.untrusted.files import CATEGORIES, RefusedFileError
 from tests.adapters.result_files.broken_files import BROKEN, HOSTILE, SAMPLES, Broken, valid
 from tests.benchmark.cli.cli_runs import refusal
 from tests.benchmark.fake_data import FakeData
+from tests.documentation.lines_of_code import ROOT
 from tests.hand_made import scene_on_straight_road
 
 
@@ -95,3 +97,12 @@ def test_a_file_of_another_split_is_told_which(name: str, says: str, tmp_path: P
     assert result_file_factory([recognise(path)], data, "train").facts.name
     with pytest.raises(RefusedFileError, match=f"{says}.*--split train"):
         result_file_factory([recognise(path)], data, "val")
+
+
+def test_pages_count_the_repositories_that_there_are() -> None:
+    planners = frozenset[str]().union(*(each.planners for each in FORMATS.values()))
+    words = {"eight": 8, "nine": 9, "ten": 10, "eleven": 11}
+    said = re.compile(r" of (UniAD, VAD[\w, -]*) and (\w+) (?:more|others)")
+    for page in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md")):
+        for named, more in said.findall(page.read_text()):
+            assert len(named.split(", ")) + words[more] == len(planners) == 13, page

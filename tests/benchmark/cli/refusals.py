@@ -7,6 +7,7 @@ In the arguments ``{new}`` is a folder that does not exist, ``{file}`` a text fi
 import contextlib
 import io
 import json
+import os
 import subprocess
 import sys
 import time
@@ -17,26 +18,54 @@ from tests.whole_product import ABSENT, command_is_installed
 
 _OUT = "--out {new}/out"
 _HEAVY = {"torch", "nuscenes"}
-_CORE: tuple[tuple[str, str], ...] = (
-    (f"eval {_OUT}", "name a planner"),
+MISTAKES: tuple[tuple[str, str], ...] = (
+    (f"evla --model idm {_OUT}", "Did you mean 'eval'?"),
+    (f"eval {_OUT}", "name a planner with --model"),
+    (f"eval idm {_OUT}", "write --model idm"),
+    (f"eval adv --model idm {_OUT}", "write --split adv"),
+    (f"eval {{csv}} {_OUT}", "write --plans"),
+    (f"eval --modle idm {_OUT}", "--model"),
+    (f"eval --model VAD {_OUT}", "did you mean vad?"),
     (f"eval --model unaid {_OUT}", "did you mean uniad?"),
+    (f"eval --model bad.py:Shape {_OUT}", "use --model bad:Shape"),
+    (f"eval --model my_planner {_OUT}", "or your own with --model package.module:Class"),
+    (f"eval --model my_missing.planner:Mine {_OUT}", "run the command in the folder that holds my_missing"),
+    (f"eval --model slips:Unfinished {_OUT}", "it has no method plan"),
+    (f"eval --model slips:Raises {_OUT}", "RuntimeError: no weights; --debug shows where"),
+    (f"eval --model idm --split ADV {_OUT}", "did you mean adv?"),
+    (f"eval --model idm --split test {_OUT}", "it has val, val-r, adv"),
+    (f"eval --model idm --data {{new}} {_OUT}", "there is no folder"),
+    (f"eval --model idm --data {{empty}} {_OUT}", "give the folder that contains for example v1.0-mini/"),
+    (f"eval --model idm --data demo {_OUT}", "run: challenger-bench demo"),
     (f"eval --model uniad-unoptimised {_OUT}", "no weights for uniad"),
-    (f"eval --model my_missing.planner:Mine {_OUT}", "cannot import my_missing"),
-    (f"eval --model idm --split vla {_OUT}", "it has val, val-r, adv"),
     (f"eval --model idm --scenes scene-800 {_OUT}", "did you mean scene-800"),
-    (f"eval --model idm --split adv --scenes scene-1 {_OUT}", "scene-1"),
     (f"eval --model idm --protocol exakt {_OUT}", "did you mean exact?"),
+    (f"eval --plans {{empty}} {_OUT}", "must end in .csv"),
+    (f"drive --model vad-mini {_OUT}", "add --sensor schematic"),
+    (f"failures --model idm {_OUT}", "make it with: challenger-bench eval --model idm --split adv"),
+    (f"leaderboard {_OUT}", "run challenger-bench eval"),
+)
+"""What new users do in their first hour."""
+SLIPS = """
+class Unfinished:
+    name = "unfinished"
+    def reset(self, scene): pass
+
+class Raises(Unfinished):
+    def __init__(self): raise RuntimeError("no weights")
+"""
+_CORE: tuple[tuple[str, str], ...] = (
+    (f"eval --model idm --split adv --scenes scene-1 {_OUT}", "scene-1"),
     (f"eval --model idm --native uniad {_OUT}", "--plans"),
     (f"eval --plans {{csv}} --native unaid {_OUT}", "native protocol"),
     (f"eval --plans {{new}}/plans.csv {_OUT}", "does not exist"),
-    (f"eval --plans {{empty}} {_OUT}", "must end in .csv"),
     (f"eval --plans {{csv}} {_OUT}", "no column"),
     (f"eval --results {{new}}/results.pkl {_OUT}", "there is no result file"),
     (f"eval --results {{file}} {_OUT}", "begins with"),
     (f"eval --results {{empty}} {_OUT}", "the folder is empty"),
     (f"eval --results {{file}} --format unaid {_OUT}", "did you mean uniad"),
     (f"eval --model idm --format uniad {_OUT}", "--results"),
-    (f"eval --model idm --name mine {_OUT}", "--results"),
+    (f"eval --model idm --model stop --name mine {_OUT}", "--name mine names one planner"),
     (f"eval --model idm --dump-results unaid {_OUT}", "did you mean uniad"),
     (f"eval --model vad --checkpoint {{new}}/vad.pth {_OUT}", "there is no checkpoint"),
     (f"eval --model uniad --device gpu {_OUT}", "unknown device 'gpu'"),
@@ -69,10 +98,7 @@ _CORE: tuple[tuple[str, str], ...] = (
     (f"eval --model idm --limit 0 {_OUT}", "--limit"),
     ("eval --model idm --out {file}/out", "is a file"),
     ("eval --model idm --out /proc/out", "cannot write below /proc"),
-    (f"eval --model idm --data {{new}} {_OUT}", "there is no folder"),
     (f"eval --model idm --data {{file}} {_OUT}", "is not a folder"),
-    (f"eval --model idm --data {{empty}} {_OUT}", "no version folder"),
-    (f"eval --model idm --data demo {_OUT}", "challenger-bench demo"),
     (f"data pack nothing --to {{new}}/p.zip {_OUT}", "no frozen split of that name"),
     (f"data pack mini-adv-3 --to {{new}}/p.tar {_OUT}", "must end in .zip"),
     (f"data pack mini-adv-3 --rules {{new}}/rules.toml --to {{new}}/p.zip {_OUT}", "does not exist"),
@@ -114,7 +140,6 @@ _CORE: tuple[tuple[str, str], ...] = (
     (f"sheets --scenes scene-1 {_OUT}", "scene-1"),
     (f"sheets --rounds {_OUT}", "--keep-rounds"),
     ("sheets --out {file}", "is a file"),
-    (f"leaderboard {_OUT}", "eval"),
     (f"leaderboard --to {{file}} {_OUT}", "is a file"),
     ("data info {new}", "there is no folder"),
     ("data stats mini --split vla", "val"),
@@ -204,7 +229,7 @@ _OF_EXTENSIONS: dict[str, tuple[tuple[str, str], ...]] = {
         ("train judge {new}/w.safetensors --data {empty}", "does not exist"),
     ),
 }
-WRONG = (*_CORE, *(each for name, wrong in _OF_EXTENSIONS.items() if name not in ABSENT for each in wrong))
+WRONG = (*MISTAKES, *_CORE, *(each for name, wrong in _OF_EXTENSIONS.items() if name not in ABSENT for each in wrong))
 _DRY: tuple[tuple[str, str], ...] = (
     (f"eval --dry-run --model uniad --split adv {_OUT}", "run uniad-mini on 19 scenes of adv"),
     (
@@ -235,16 +260,23 @@ class Refusal:
     imported: list[str]
 
 
-def all_refusals(folder: Path) -> dict[str, Refusal]:
-    """Run all of `WRONG` and `DRY` in one other process, on an empty cache; what became of each by its arguments."""
-    places = {name: str(folder / name) for name in ("new", "file", "empty")} | {"csv": str(folder / "plans.csv")}
+def make_places(folder: Path) -> dict[str, str]:
+    """What stands for the names in braces; modules with planners lie in the folder itself."""
     (folder / "empty").mkdir()
     for name in ("file", "plans.csv"):
         (folder / name).write_text("a,b\n1,2\n")
+    (folder / "slips.py").write_text(SLIPS)
+    return {name: str(folder / name) for name in ("new", "file", "empty")} | {"csv": str(folder / "plans.csv")}
+
+
+def all_refusals(folder: Path) -> dict[str, Refusal]:
+    """Run all of `WRONG` and `DRY` in one other process, on an empty cache; what became of each by its arguments."""
+    places = make_places(folder)
     work = json.dumps([arguments.format(**places) for arguments, _ in (*WRONG, *DRY)])
     done = subprocess.run(
         [sys.executable, "-m", __name__, str(folder / "cache"), str(folder / "new")],
         input=work,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([*filter(None, sys.path), str(folder)])},
         capture_output=True,
         text=True,
         check=True,
@@ -268,8 +300,6 @@ def _refused(arguments: str, places: list[Path]) -> Refusal:
 
 
 if __name__ == "__main__":
-    import os
-
     os.environ["CHALLENGER_BENCH_CACHE"] = sys.argv[1]
     watched = [Path(sys.argv[1]), Path(sys.argv[2])]
     print(json.dumps([asdict(_refused(arguments, watched)) for arguments in json.load(sys.stdin)]))

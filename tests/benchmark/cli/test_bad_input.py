@@ -99,6 +99,15 @@ def plan_rows(root: Path) -> list[dict[str, object]]:
     return [{"sample_token": token, "frame": "lidar", **waypoints} for token in tokens]
 
 
+def test_plans_of_a_file_have_the_name_that_was_asked_for(good: Path, tmp_path: Path) -> None:
+    rows = plan_rows(good)
+    text = "\n".join([",".join(rows[0]), *(",".join(map(str, row.values())) for row in rows)])
+    plans = tmp_path / "plans.csv"
+    plans.write_text(text + "\n")
+    run = evaluate(good, tmp_path / "out", "--plans", plans, "--as-is", "--name", "mine", "--json")
+    assert run.code == 0 and Path(run.json[0]["directory"]).name == "mine", run.err
+
+
 @pytest.mark.parametrize(
     ("fault", "word"),
     [

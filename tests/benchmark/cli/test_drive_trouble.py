@@ -9,9 +9,14 @@ from typing import Any
 
 import pytest
 
+from benchmark.closed_loop.default_engine import DefaultBackend
+from benchmark.errors import InputError
 from benchmark.machine.storage import lock_folder
+from benchmark.runs.driving import DriveSettings, drive_split
 from tests.benchmark.cli.cli_runs import bytes_below
 from tests.benchmark.cli.in_process import Done, run_here
+from tests.benchmark.fake_data import town_of_two
+from tests.benchmark.planners import LooksAtImages, LooksIfItCan
 from tests.generation.nuscenes_writer.written_roots import write_root
 from tests.hand_made import Car, scene_on_straight_road
 
@@ -46,6 +51,20 @@ def test_who_fails_is_counted_and_scored_nowhere(
     before = bytes_below(tmp_path)
     again = driving(source, tmp_path, *models)
     assert again.code == 1 and again.out == done.out and bytes_below(tmp_path) == before
+
+
+def test_an_own_camera_model_is_refused_without_a_sensor_and_nobody_else_is(source: Path, tmp_path: Path) -> None:
+    done = driving(source, tmp_path, "--model", "tests.benchmark.planners:LooksAtImages")
+    assert (done.code, done.out) == (2, "") and not list(tmp_path.rglob("drive.json"))
+    says = (
+        "looks needs images, and --sensor none provides none (it raised KeyError: 'CAM_FRONT'); add --sensor schematic"
+    )
+    assert done.err.splitlines()[-1] == says
+    # In this process, as from Python, it is the same; who looks and can do without is driven.
+    settings = DriveSettings("default", DefaultBackend())
+    with pytest.raises(InputError, match="looks needs images"):
+        drive_split(town_of_two(), "val", LooksAtImages(), tmp_path / "here", settings)
+    assert drive_split(town_of_two(), "val", LooksIfItCan(), tmp_path / "here", settings).complete
 
 
 def test_six_identical_points_are_driven(source: Path, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Planners written by strangers: whatever they do, the command says what happened and never a wrong number."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -89,6 +90,25 @@ def test_what_cannot_be_built_is_one_sentence(root: Path, tmp_path: Path, model:
     run = evaluate(root, tmp_path / "out", model)
     assert (run.code, run.out) == (2, ""), run
     assert run.err.startswith("error: ") and run.err.count("\n") == 1 and word in run.err, run.err
+
+
+def test_debug_shows_the_planners_own_line_and_keeps_the_exit_code(root: Path, tmp_path: Path) -> None:
+    run = run_main("--debug", "eval", "--data", root, "--out", tmp_path / "out", "--model", "strangers:InitRaises")
+    line = next(number for number, text in enumerate(STRANGERS.splitlines(), 1) if "no weights" in text)
+    assert run.code == 2 and f'{tmp_path / "strangers.py"}", line {line}, in __init__' in run.err
+    assert run.err.splitlines()[-1].startswith("error: model 'strangers:InitRaises': building it raised RuntimeError")
+
+
+def test_a_record_has_the_name_that_was_asked_for(root: Path, tmp_path: Path) -> None:
+    on = ("--data", root, "--out", tmp_path / "out", "--json")
+    named = run_main("eval", *on, "--model", "strangers:Straight", "--name", "mine", "--split", "val")
+    (record,) = named.json
+    assert Path(record["directory"]).name == "mine"
+    assert json.loads((Path(record["directory"]) / "run.json").read_text())["planner"]["name"] == "mine"
+    two = run_main("eval", *on, "--model", "stop", "--model", "idm", "--name", "mine")
+    assert two.code == 2 and "--name mine names one planner, and the command runs 2; run them one at a time" in two.err
+    blank = run_main("eval", *on, "--model", "stop", "--name", "a\nb")
+    assert blank.code == 2 and "--name must be printable text" in blank.err
 
 
 @pytest.mark.parametrize("model", ["ResetExits", "Nothing"])

@@ -1,6 +1,7 @@
 """The whole path through the command line on a tiny town: build, check, generate, evaluate, transfer, tables."""
 
 import json
+import shlex
 import shutil
 from pathlib import Path
 
@@ -59,6 +60,26 @@ def test_what_is_written_has_no_faults(town: Path, out: Path) -> None:
     for root in (town, out / "data" / "small" / "adv"):
         run = done(run_main("data", "check", root, "--json"))
         assert run.json == {"errors": 0, "faults": []}
+
+
+def test_the_command_that_shows_a_failure_works_as_printed(
+    town: Path, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    on = ("--model", "constant-velocity", "--data", town, "--out", out)
+    listed = done(run_main("failures", *on))
+    assert " samples fail, in " in listed.out and "vehicle.car, the adversary" in listed.out and listed.err == ""
+    commands = listed.out[listed.out.index("to see each scene:") :].splitlines()[1].split(" && ")
+    assert [command.split()[1] for command in commands] == ["sheets", "film"]
+    monkeypatch.chdir(tmp_path)
+    for command in commands:
+        # The film is as printed but for its length and size.
+        less = ("--until", "0.3", "--width", "320") if " film " in command else ()
+        done(run_main(*shlex.split(command)[1:], *less))
+    assert len([*(tmp_path / "films").iterdir()]) == 1
+    # Then the sheet is there, and is not drawn again.
+    assert " sheets " not in done(run_main("failures", *on, "--limit", "1")).out
+    recorded = done(run_main("failures", "--model", "log-replay", "--data", town, "--out", out))
+    assert recorded.out.startswith("log-replay on small adv (exact, 3 s): no failure in ")
 
 
 def test_transfer_and_leaderboard(out: Path) -> None:

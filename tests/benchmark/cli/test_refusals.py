@@ -1,8 +1,11 @@
 """What is cheap to check is checked before anything is built: each wrong argument of every command, an empty cache."""
 
+from pathlib import Path
+
 import pytest
 
-from tests.benchmark.cli.refusals import DRY, WRONG, Refusal, all_refusals
+from tests.benchmark.cli.cli_runs import run_main
+from tests.benchmark.cli.refusals import DRY, MISTAKES, WRONG, Refusal, all_refusals, make_places
 
 
 @pytest.fixture(scope="module")
@@ -15,6 +18,18 @@ def test_a_wrong_argument_is_refused_at_once(refusals: dict[str, Refusal], argum
     refused = refusals[arguments]
     assert refused.refused and says in refused.sentence and "\n" not in refused.sentence
     assert refused.left == [] and refused.imported == []
+
+
+def test_the_mistakes_of_the_first_hour_end_with_exit_code_2_and_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    places = make_places(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert len(MISTAKES) == 25
+    for arguments, says in MISTAKES:
+        run = run_main(*arguments.format(**places).split(), cache=tmp_path / "cache")
+        assert (run.code, run.out) == (2, ""), arguments
+        assert run.err.startswith("error: ") and run.err.count("\n") == 1 and says in run.err, run.err
 
 
 @pytest.mark.parametrize(("arguments", "says"), DRY)

@@ -77,6 +77,36 @@ def test_an_evaluation_that_is_killed_goes_on(source: Path, undisturbed: Path, t
     assert bytes_below(tmp_path) == bytes_below(undisturbed)
 
 
+def interrupt_at(command: list[str], out: Path, files: int) -> None:
+    """Interrupt a command and all its processes, as a terminal does, as soon as so many files are there."""
+    process = started(command)
+    while process.poll() is None and sum(len(names) for _, _, names in os.walk(out)) < files:
+        time.sleep(0.002)
+    os.killpg(process.pid, signal.SIGINT)
+    text, err = process.communicate(timeout=60)
+    said = [line for line in err.splitlines() if line]
+    assert (process.returncode, text) == (130, ""), err
+    assert said[-1] == "interrupted; finished work is kept, the same command resumes" and "Traceback" not in err
+
+
+def test_an_evaluation_that_is_interrupted_says_that_the_same_command_resumes(
+    source: Path, undisturbed: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(undisturbed / "data", tmp_path / "data")
+    interrupt_at(evaluating(source, tmp_path), tmp_path, len(bytes_below(tmp_path)) + 1)
+    finish(evaluating(source, tmp_path))
+    assert bytes_below(tmp_path) == bytes_below(undisturbed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_generation_and_drives_that_are_interrupted_say_so_too(source: Path, tmp_path: Path, workers: str) -> None:
+    for make in (generating, driving):
+        command = [*make(source, tmp_path), "--workers", workers]
+        interrupt_at(command, tmp_path, sum(len(names) for _, _, names in os.walk(tmp_path)) + 2)
+        finish(command)
+
+
 @pytest.mark.slow
 def test_a_split_whose_generation_is_killed_is_the_same(source: Path, undisturbed: Path, tmp_path: Path) -> None:
     made = len(bytes_below(undisturbed / "data"))

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import runpy
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -20,9 +19,7 @@ from tests.benchmark.cli.cli_runs import refusal
 from tests.benchmark.cli.in_process import Done, run_here
 from tests.benchmark.cli.small_path import done
 from tests.benchmark.edited_roots import small_town
-from tests.whole_product import needs_extensions
 
-ROOT = Path(__file__).resolve().parents[3]
 taken: list[tuple[Any, bool]] = []
 
 
@@ -149,14 +146,6 @@ def test_help_has_panels_and_few_options_and_names_where_the_others_are(name: st
     assert {*rare} <= {each.name for each in dataclasses.fields(options)}
     assert f"{len(rare)} rare settings" in said and "docs/settings.md" in said
     assert "\x1b" not in said and said.isascii() and max(map(len, said.splitlines())) <= 80
-
-
-@needs_extensions
-def test_the_page_of_settings_lists_every_rare_one() -> None:
-    page = runpy.run_path(str(ROOT / "docs" / "making" / "settings.py"))
-    assert (
-        page["with_tables"]((ROOT / "docs" / "settings.md").read_text()) == (ROOT / "docs" / "settings.md").read_text()
-    ), "run python docs/making/settings.py"
 
 
 def test_commands_of_extensions_declare_their_settings() -> None:

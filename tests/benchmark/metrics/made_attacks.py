@@ -78,6 +78,23 @@ def attacked(
     return replace(record, rows=tuple(rows), run=record.run.model_copy(update={"scene_facts": facts}))
 
 
+def told(record: RunRecord) -> RunRecord:
+    """The record with what ``exact`` says of whom its plans touch."""
+    rows = []
+    for row in record.rows:
+        contact = None if row.severity is None else row.severity.contact
+        if (outcome := row.outcomes.get("exact")) is not None:
+            facts = {
+                "hit": contact and contact.agent,
+                "first_contact_s": contact and contact.time_s,
+                "hit_adversary": contact and contact.adversary,
+                "adversary_contact_s": contact.time_s if contact and contact.adversary else None,
+            }
+            row = row.model_copy(update={"outcomes": {"exact": outcome.model_copy(update={"facts": facts})}})
+        rows.append(row)
+    return replace(record, rows=tuple(rows))
+
+
 def judged(survives: bool | None) -> AssessmentSummary | None:
     """What was said of a scene; where the careful human does not survive, its adversary leaves the road."""
     if survives is None:

@@ -19,28 +19,11 @@ from benchmark.metrics.unchanged_records import find_unchanged_record
 from benchmark.records.run import RunRecord
 from leaderboard.frame.runs import DataSetRuns
 from leaderboard.tables.effect import effect_table
-from tests.benchmark.metrics.made_attacks import attacked
+from tests.benchmark.metrics.made_attacks import attacked, told
 
 ADVERSARIAL = {"A-1": "f...", "A-2": "ff..", "B-1": "F..f"}
 UNCHANGED = {"A": "....", "B": "F..."}
 """f: touches the adversary, F: a bystander, .: nothing; the worked example of docs/metrics.md."""
-
-
-def told(record: RunRecord) -> RunRecord:
-    """The record with what ``exact`` says of whom its plans touch."""
-    rows = []
-    for row in record.rows:
-        contact = None if row.severity is None else row.severity.contact
-        if (outcome := row.outcomes.get("exact")) is not None:
-            facts = {
-                "hit": contact and contact.agent,
-                "first_contact_s": contact and contact.time_s,
-                "hit_adversary": contact and contact.adversary,
-                "adversary_contact_s": contact.time_s if contact and contact.adversary else None,
-            }
-            row = row.model_copy(update={"outcomes": {"exact": outcome.model_copy(update={"facts": facts})}})
-        rows.append(row)
-    return replace(record, rows=tuple(rows))
 
 
 def ran(scenes: Mapping[str, str], split: str = "adv") -> RunRecord:

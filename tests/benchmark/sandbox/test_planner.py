@@ -26,6 +26,7 @@ from benchmark.machine.metering import peak_memory_mb
 from benchmark.planning import (
     CameraView,
     ContinuousPlanner,
+    NoViews,
     Planner,
     PlannerLostError,
     PrivilegedPlanner,
@@ -130,7 +131,8 @@ def test_an_observation_arrives_as_it_was() -> None:
     plain = [*pictured().observations("scene-9901")]
     odd = replace(plain[0], views={}, ego=replace(plain[0].ego, can_motion=np.arange(9.0), steering_angle=0.5))
     narrow = replace(plain[1], past_poses=plain[1].past_poses[:1], past_valid=plain[1].past_valid[:1])
-    for each in (*plain[:2], odd, narrow, plain[2]):
+    blind = replace(plain[0], views=NoViews())
+    for each in (*plain[:2], odd, narrow, blind, plain[2]):
         sent = pickle.loads(pickle.dumps(packing.packed(each)))  # noqa: S301 - of the line before
         arrived = unpacking.unpack(sent, lambda name: np.zeros((1, 1, 3), np.uint8))
         assert same(each, arrived)

@@ -12,8 +12,8 @@ from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
 from benchmark.machine.workspace import Workspace
-from benchmark.records.attempts import format_seed_split, is_adversarial, parse_seed
 from benchmark.records.run import RunRecord
+from benchmark.records.seed_splits import format_seed_split, is_adversarial, parse_seed
 from generation.pipeline.split import build_split
 from generation.splits.building import build_frozen
 from generation.splits.packaged import format_seed_path, parse_seeds, read_frozen_of_seed
