@@ -30,7 +30,7 @@ from tests.leaderboard.site.reading import key_of, model_query
 
 FIRST_PAINT_AIM_S, SCRUBBING_AIM_HZ = 1.0, 12.0
 CELL_WIDTH_PX = 320
-ROUTES = {"tables": "#/", "planners": "#/models", "scenes": "#/scenes", "attempts": "#/attempts"}
+ROUTES = {"results": "#/", "planners": "#/planners", "scenes": "#/scenes", "generation": "#/generation"}
 
 _SCRUB = """
 const done = arguments[arguments.length - 1];

@@ -8,13 +8,13 @@ from typing import Final
 from urllib.parse import quote
 
 from benchmark.errors import InputError
-from benchmark.machine.storage import is_leftover, sanitise_file_name, write_bytes, writing_to
+from benchmark.machine.storage import canonical_json, is_leftover, sanitise_file_name, write_bytes, writing_to
 from benchmark.records.run import RunRecord
 from benchmark.report.plots import compute_page_size
-from benchmark.report.table import Table, escape_markdown
+from benchmark.report.table import escape_markdown, stack_csv
 from leaderboard.frame.results import LeaderboardResults, build_frames
-from leaderboard.page.contents import SECTIONS
-from leaderboard.page.sections import TABLES_FOLDER, NamedFigure, Section, SectionItem, format_table_files
+from leaderboard.page.contents import PAPER_FOLDER, SECTIONS, TABLES_FOLDER
+from leaderboard.page.sections import NamedFigure, Section, SectionItem, find_kind
 from leaderboard.site.index_data import PlacedFigure, PlacedTable
 from leaderboard.site.site import INDEX_PATH, build_site_files
 from leaderboard.tables.contents import DataSetTables, build_data_set_tables
@@ -23,12 +23,11 @@ from leaderboard.tables.slices import SLICES
 Files = dict[str, bytes]
 """Bytes of each file by its path below the leaderboard's folder."""
 FIGURES_FOLDER: Final = "figures"
-"""Holds one folder for each data set and nothing else, as `TABLES_FOLDER` does."""
 _DARK_FIGURES: Final = "figures-dark"
 """Of the site alone."""
 SITE_FOLDER: Final = "site"
 """Holds the site and nothing else."""
-_SITE_NOTE: Final = (".tex", ".csv", ".json")
+PUBLISHED: Final = "published"
 OURS = (".tex", ".csv", ".json", ".md", ".png", ".svg")
 
 
@@ -37,70 +36,87 @@ def build_leaderboard_tables(records: Sequence[RunRecord]) -> list[DataSetTables
     return [build_data_set_tables(frame) for frame in build_frames(records)]
 
 
-def build_leaderboard_files(results: LeaderboardResults) -> Files:
+def build_leaderboard_files(results: LeaderboardResults, *, figures: bool = False) -> Files:
     """The leaderboard's files without the site.
 
-    ``README.md`` with the tables under ``exact`` and the planners' own protocols first; per table, LaTeX, CSV and JSON,
-    and per other protocol a page, below ``tables/<data set>/``; figures (PNG and SVG) below ``figures/<data set>/``;
-    the published numbers apart from ours below ``published/``.
+    ``README.md`` with the tables under ``exact`` and the planners' own protocols first; every table in ``tables.json``,
+    ``tables.tex`` and, those of a kind in one file, ``tables/<kind>.csv``; published numbers apart from ours in
+    ``published.csv``; the paper's tables as a LaTeX document below ``paper/<data set>/``; `figures` (PNG and SVG) below
+    ``figures/<data set>/``.
     """
-    return _build_contents(results).files
+    return _build_contents(results, figures=figures).files
 
 
 @dataclass(slots=True)
 class _LeaderboardContents:
     """The leaderboard's files, and the tables, in reading order, and figures that the site shows of them.
 
-    `of_site` draws files that only the site has; `page` are the lines of ``README.md``.
+    `of_site` draws files that only the site has; `page` are the lines of ``README.md``, which shows pictures of the
+    folder `pictures`.
     """
 
+    pictures: str
     files: Files = field(default_factory=dict)
     tables: list[PlacedTable] = field(default_factory=list)
     figures: list[PlacedFigure] = field(default_factory=list)
     of_site: dict[str, Callable[[], bytes]] = field(default_factory=dict)
+    of_figures: Files = field(default_factory=dict)
     page: list[str] = field(default_factory=list)
 
     def add(self, section: Section) -> None:
-        """Add a section, its files and those of its tables and figures."""
-        folder = sanitise_file_name(section.data_name) if section.data_name else ""
+        """Add a section, its files and those of its figures."""
         for group, tables in section.tables:
-            self._place(section.data_name, f"{TABLES_FOLDER}/{folder}" if folder else "published", group, tables)
+            self.tables += [PlacedTable(table, section.data_name, group) for table in tables]
         for figure in section.figures:
             self._draw(section.data_name, figure)
         self.files |= section.files
         self.page += [f"## {section.heading}", ""] if section.heading else []
         for item in section.shown:
-            self.page += _format_item(folder, item)
+            self.page += self._format_item(section.data_name, item)
 
     def _draw(self, data_name: str, figure: NamedFigure) -> None:
-        folder = sanitise_file_name(data_name)
-        vector = _format_picture(folder, figure.name, ".svg")
-        dark = f"{_DARK_FIGURES}{vector.removeprefix(FIGURES_FOLDER)}"
-        self.files |= {_format_picture(folder, figure.name): figure.png, vector: figure.svg}
-        self.of_site[dark] = figure.dark
-        self.figures.append(PlacedFigure(data_name, figure.title, vector, dark, compute_page_size(figure.png)))
+        stem = _name_picture(data_name, figure)
+        light, dark = f"{FIGURES_FOLDER}/{stem}.svg", f"{_DARK_FIGURES}/{stem}.svg"
+        self.of_figures |= {f"{FIGURES_FOLDER}/{stem}.png": figure.png, light: figure.svg}
+        self.of_site |= {light: lambda: figure.svg, dark: figure.dark}
+        size = compute_page_size(figure.png)
+        self.figures.append(PlacedFigure(data_name, figure.name, figure.title, light, dark, size))
 
-    def _place(self, data_name: str, folder: str, group: str, tables: Sequence[Table]) -> None:
-        # Slices of other protocols are only files: a site with all of them would be several times as large.
-        on_site = [table for table in tables if group == SLICES or not table.name.startswith(f"{SLICES}-")]
-        self.tables += [PlacedTable(table, data_name, group, folder) for table in on_site]
-        self.files |= format_table_files(folder, tables)
-
-
-def _format_item(folder: str, item: SectionItem) -> list[str]:
-    """Lines of the page for an item of a section."""
-    if isinstance(item, NamedFigure):
-        return [f"![{escape_markdown(item.title)}]({quote(_format_picture(folder, item.name))})", ""]
-    return [item if isinstance(item, str) else item.markdown()]
+    def _format_item(self, data_name: str, item: SectionItem) -> list[str]:
+        """Lines of the page for an item of a section."""
+        if not isinstance(item, NamedFigure):
+            return [item if isinstance(item, str) else item.markdown()]
+        path = quote(f"{self.pictures}/{_name_picture(data_name, item)}.svg")
+        return [f"![{escape_markdown(item.title)}]({path})", ""] if self.pictures else []
 
 
-def _format_picture(folder: str, name: str, suffix: str = ".png") -> str:
-    return f"{FIGURES_FOLDER}/{folder}/{sanitise_file_name(name)}{suffix}"
+def _name_picture(data_name: str, figure: NamedFigure) -> str:
+    return f"{sanitise_file_name(data_name)}/{sanitise_file_name(figure.name)}"
 
 
-def _build_contents(results: LeaderboardResults, *, site: bool = False) -> _LeaderboardContents:
+def _format_table_files(tables: Sequence[PlacedTable]) -> Files:
+    """Tables as data: CSV, a file a kind, and all of them as JSON and as LaTeX."""
+    kinds: dict[str, list[PlacedTable]] = {}
+    for placed in tables:
+        kind = f"{TABLES_FOLDER}/{sanitise_file_name(find_kind(placed.table.name))}" if placed.data_name else PUBLISHED
+        kinds.setdefault(kind, []).append(placed)
+    facts = [
+        canonical_json({"data set": placed.data_name, "group": placed.group, **placed.table.as_json()})
+        for placed in tables
+    ]
+    return {
+        name: text.encode()
+        for name, text in {
+            **{f"{kind}.csv": stack_csv((each.data_name, each.table) for each in of) for kind, of in kinds.items()},
+            "tables.json": "[\n" + ",\n".join(facts) + "\n]\n",
+            "tables.tex": "\n".join(placed.table.latex() for placed in tables),
+        }.items()
+    }
+
+
+def _build_contents(results: LeaderboardResults, *, site: bool = False, figures: bool = False) -> _LeaderboardContents:
     """Tables and figures; ``README.md`` names the site if there is one."""
-    contents = _LeaderboardContents()
+    contents = _LeaderboardContents(FIGURES_FOLDER if figures else f"{SITE_FOLDER}/{FIGURES_FOLDER}" if site else "")
     contents.page += ["# Leaderboard", "", "Made from run records by `challenger-bench leaderboard`; do not edit.", ""]
     if site:
         page = f"{SITE_FOLDER}/index.html"
@@ -108,20 +124,28 @@ def _build_contents(results: LeaderboardResults, *, site: bool = False) -> _Lead
             f"Interactive tables and a player of every scene: open [{page}]({page}) in a browser.",
             "",
         ]
-    contents.page += ["Definitions of all numbers: `docs/metrics.md` of challenger-bench.", ""]
+    contents.page += [
+        "Definitions of all numbers: `docs/metrics.md` of challenger-bench. Every table as data: "
+        f"`{TABLES_FOLDER}/`, a CSV file a kind; [tables.json](tables.json), with what stands behind each number; "
+        "[tables.tex](tables.tex).",
+        "",
+    ]
     for sections in SECTIONS:
         for section in sections(results):
             contents.add(section)
+    contents.files |= _format_table_files(contents.tables) | (contents.of_figures if figures else {})
     contents.files["README.md"] = "\n".join(contents.page).encode()
     return contents
 
 
-def write_leaderboard(results: LeaderboardResults, folder: Path, *, site: bool = True) -> list[Path]:
-    """Write the leaderboard, and the site if asked; what an earlier one had and the records no longer give is removed.
+def write_leaderboard(
+    results: LeaderboardResults, folder: Path, *, site: bool = True, figures: bool = False
+) -> list[Path]:
+    """Write the leaderboard, and the site and figures if asked; what an earlier one had and this has not is removed.
 
     An unwritable file, or foreign content in the site's folder, is an `InputError`.
     """
-    files = _all_files(results, site=site)
+    files = _all_files(results, site=site, figures=figures)
     if site:
         _require_own_site(folder / SITE_FOLDER)
     for name, content in files.items():
@@ -134,9 +158,11 @@ def write_leaderboard(results: LeaderboardResults, folder: Path, *, site: bool =
     return [folder / name for name in files]
 
 
-def find_stale_files(results: LeaderboardResults, folder: Path, *, site: bool = True) -> list[str]:
+def find_stale_files(
+    results: LeaderboardResults, folder: Path, *, site: bool = True, figures: bool = False
+) -> list[str]:
     """One sentence for each file that is missing, left over or not as `write_leaderboard` would write it there."""
-    sentences, files = [], _all_files(results, site=site)
+    sentences, files = [], _all_files(results, site=site, figures=figures)
     for name, content in files.items():
         path = folder / name
         if not path.is_file():
@@ -149,17 +175,15 @@ def find_stale_files(results: LeaderboardResults, folder: Path, *, site: bool = 
     ]
 
 
-def _all_files(results: LeaderboardResults, *, site: bool) -> dict[str, bytes | Path]:
+def _all_files(results: LeaderboardResults, *, site: bool, figures: bool) -> dict[str, bytes | Path]:
     """Every file; a path as value means a copy of that file, so that pictures are not all held at once."""
-    contents = _build_contents(results, site=site)
+    contents = _build_contents(results, site=site, figures=figures)
     if not site:
         return dict(contents.files)
-    shown_paths = {figure.path for figure in contents.figures}
-    downloads = {
-        name: data for name, data in contents.files.items() if name in shown_paths or name.endswith(_SITE_NOTE)
-    }
-    downloads |= {name: draw() for name, draw in contents.of_site.items()}
-    pages = build_site_files(results, contents.tables, contents.figures, downloads)
+    # Slices of other protocols are only data: a site with all of them would be several times as large.
+    shown = [each for each in contents.tables if each.group == SLICES or find_kind(each.table.name) != SLICES]
+    drawn = {name: draw() for name, draw in contents.of_site.items()}
+    pages = build_site_files(results, shown, contents.figures, drawn)
     return contents.files | {f"{SITE_FOLDER}/{name}": content for name, content in pages.items()}
 
 
@@ -185,8 +209,8 @@ def _is_same_file(path: Path, content: bytes | Path) -> bool:
 
 def _find_left_over(files: Mapping[str, bytes | Path], folder: Path) -> list[Path]:
     """Files in a leaderboard's folder that are no longer among its own: tables, figures, anything in a site of ours."""
-    paths = [path for place in (TABLES_FOLDER, FIGURES_FOLDER) for path in sorted((folder / place).glob("*/*"))]
-    paths = [path for path in paths if path.suffix in OURS]
+    places = (TABLES_FOLDER, FIGURES_FOLDER, PAPER_FOLDER, PUBLISHED)
+    paths = [path for place in places for path in sorted((folder / place).rglob("*")) if path.suffix in OURS]
     if f"{SITE_FOLDER}/{INDEX_PATH}" in files and (folder / SITE_FOLDER / INDEX_PATH).is_file():
-        paths += [path for path in sorted((folder / SITE_FOLDER).rglob("*")) if path.is_file()]
-    return [path for path in paths if path.relative_to(folder).as_posix() not in files]
+        paths += sorted((folder / SITE_FOLDER).rglob("*"))
+    return [path for path in paths if path.is_file() and path.relative_to(folder).as_posix() not in files]

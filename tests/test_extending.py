@@ -197,7 +197,7 @@ def test_an_exporter_wrote_a_file_a_scene(tried: Tried) -> None:
 def test_tables_and_site_have_its_table_and_page(tried: Tried) -> None:
     assert "plans too close to others (%)" in tried.files["README.md"]
     assert "<li>easing on val: " in tried.files["site/pages/margins.html"]
-    assert '<a href="pages/margins.html">margins</a>' in tried.files["site/index.html"]
+    assert '"path":"pages/margins.html","tab":"protocols"' in tried.files["site/data/index.js"]
 
 
 def test_removed_it_leaves_nothing_behind(tried: Tried) -> None:
@@ -216,7 +216,7 @@ def test_removed_its_names_are_refused_in_one_sentence(tried: Tried, name: str) 
 def test_removed_the_records_it_judged_and_drove_are_still_shown(tried: Tried) -> None:
     assert tried.after["leaderboard"].code == 0, tried.after["leaderboard"].err
     files = text_files(tried.work / "out" / "leaderboard")
-    assert "site/pages/margins.html" not in files and "pages/margins" not in files["site/index.html"]
+    assert "site/pages/margins.html" not in files and "pages/margins" not in files["site/data/index.js"]
     assert "easing" in files["README.md"] and "engine overshoot" in files["README.md"]
     assert "judged by protocol margin, of an extension that is not installed here" in files["README.md"]
     assert "Engine overshoot: of an extension that is not installed here." in files["README.md"]

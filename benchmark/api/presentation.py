@@ -43,9 +43,14 @@ def write_sheets(dataset: "DataSet", split: str, root: Path, settings: "SheetSet
 
 
 def write_leaderboard(
-    out: Path = OUT, to: Path | None = None, records: "Sequence[Path] | None" = None, *, site: bool = True
+    out: Path = OUT,
+    to: Path | None = None,
+    records: "Sequence[Path] | None" = None,
+    *,
+    site: bool = True,
+    figures: bool = False,
 ) -> list[Path]:
-    """Write tables, figures and site from everything that an output folder holds.
+    """Write tables and site from everything that an output folder holds.
 
     Args:
         out: The output folder: run records, records of drives, scene sheets, video quality, ablation studies, scores
@@ -53,6 +58,7 @@ def write_leaderboard(
         to: Folder of the leaderboard; ``<out>/leaderboard`` by default.
         records: Folders of run records and of records of drives, if not ``<out>/runs`` and ``<out>/drives``.
         site: Whether to write the site too.
+        figures: Whether to write every figure as PNG and SVG, too; those of an earlier leaderboard are else removed.
 
     Returns:
         The files.
@@ -63,16 +69,21 @@ def write_leaderboard(
     results = _collect_results(out, records)
     from leaderboard.build import write_leaderboard as write
 
-    return write(results, to or out / "leaderboard", site=site)
+    return write(results, to or out / "leaderboard", site=site, figures=figures)
 
 
 def stale_leaderboard(
-    out: Path = OUT, to: Path | None = None, records: "Sequence[Path] | None" = None, *, site: bool = True
+    out: Path = OUT,
+    to: Path | None = None,
+    records: "Sequence[Path] | None" = None,
+    *,
+    site: bool = True,
+    figures: bool = False,
 ) -> list[str]:
     """Paths, below a written leaderboard, of all that `write_leaderboard` would write otherwise now."""
     from leaderboard.build import find_stale_files
 
-    return find_stale_files(_collect_results(out, records), to or out / "leaderboard", site=site)
+    return find_stale_files(_collect_results(out, records), to or out / "leaderboard", site=site, figures=figures)
 
 
 def _collect_results(out: Path, folders: "Sequence[Path] | None") -> "LeaderboardResults":

@@ -27,7 +27,7 @@ from benchmark.report.words import format_options, pluralise
 
 leaderboard_app = typer.Typer(
     cls=FullSummaryGroup,
-    help="Write tables (Markdown, LaTeX, CSV, JSON), figures and site from run records; check submissions.",
+    help="Write tables (Markdown, LaTeX, CSV, JSON) and site from run records; check submissions.",
     rich_help_panel="Results",
 )
 
@@ -107,6 +107,7 @@ class LeaderboardOptions:
     records: shared.Records = None
     to: Annotated[Path | None, Option("Folder of the tables, if not <out>/leaderboard.", "Output")] = None
     site: Annotated[bool, Option("Whether to write the site too.", "Output", names="--site/--no-site")] = True
+    figures: Annotated[bool, Option("Also every figure as PNG and SVG, which the site has anyway.", "Output")] = False
     check: Annotated[bool, Option("Only say whether the written tables are current.", "Output")] = False
     publish_check: Annotated[
         Path | None,
@@ -125,7 +126,7 @@ class LeaderboardOptions:
 @leaderboard_app.callback(invoke_without_command=True)
 @command(LeaderboardOptions)
 def leaderboard_command(options: LeaderboardOptions) -> None:
-    """Write tables (Markdown, LaTeX, CSV, JSON), figures and site from run records, scene sheets and studies."""
+    """Write tables (Markdown, LaTeX, CSV, JSON) and site from run records, scene sheets and studies."""
     from benchmark.machine.path_checks import require_folder, require_place
 
     if options.publish_check is not None:
@@ -140,13 +141,14 @@ def leaderboard_command(options: LeaderboardOptions) -> None:
     for place in options.records or ():
         require_folder(place, "--records")
     if options.check:
-        stale = api.stale_leaderboard(options.out, folder, options.records, site=options.site)
+        stale = api.stale_leaderboard(options.out, folder, options.records, site=options.site, figures=options.figures)
         print_result({"stale": stale}, "\n".join(stale) or f"{folder} is current", json_output=options.json_output)
         raise typer.Exit(1 if stale else 0)
     require_place(folder, "--to" if options.to else "--out")
-    written = api.write_leaderboard(options.out, folder, options.records, site=options.site)
+    written = api.write_leaderboard(options.out, folder, options.records, site=options.site, figures=options.figures)
     first = folder / ("site/index.html" if options.site else "README.md")
-    text = f"{pluralise(len(written), 'file')} in {folder}; start with {first}"
+    beside = sum(not path.is_relative_to(folder / "site") for path in written)
+    text = f"{pluralise(beside, 'file')}{' and a site' * options.site} in {folder}; start with {first}"
     print_result({"files": [str(path) for path in written]}, text, json_output=options.json_output)
     page = f", or open {folder / 'site/index.html'} in a browser" if options.site else ""
     print_next_steps(

@@ -1,14 +1,13 @@
-"""A table as data, and its text for a terminal, as Markdown, LaTeX, CSV and JSON. Same table, same bytes."""
+"""A table as data, and its text for a terminal, as Markdown, LaTeX and CSV. Same table, same bytes."""
 
 import csv
 import functools
 import io
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from benchmark.machine.storage import canonical_json
 from benchmark.report.cells import RANKS_NOTHING, UNDEFINED, CellSource, TableCell
 from benchmark.report.terminal import align_columns, find_terminal_width, wrap_text
 from benchmark.report.words import pluralise
@@ -195,17 +194,16 @@ class Table:
 
     def csv(self) -> str:
         """The table as CSV, heads with their groups first, and a column on miniatures last."""
-        stream = io.StringIO()
-        writer = csv.writer(stream, lineterminator="\n")
-        miniature_cells = [[RANKS_NOTHING if miniature else ""] for miniature in self.miniatures] or [[]] * len(
-            self.rows
-        )
-        writer.writerow((*self.heads, *(("miniature",) if self.miniatures else ())))
-        writer.writerows(
-            [*("" if cell == UNDEFINED else cell for cell in row), *of_row]
-            for row, of_row in zip(self.rows, miniature_cells)
-        )
-        return stream.getvalue()
+        return _format_csv([self._csv_heads, *self._csv_rows()])
+
+    @property
+    def _csv_heads(self) -> tuple[str, ...]:
+        return (*self.heads, *(("miniature",) if self.miniatures else ()))
+
+    def _csv_rows(self) -> Iterator[list[str]]:
+        for place, row in enumerate(self.rows):
+            note = [RANKS_NOTHING if self.miniatures[place] else ""] if self.miniatures else []
+            yield ["" if cell == UNDEFINED else cell for cell in row] + note
 
     def as_json(self) -> dict[str, Any]:
         """The table and the facts behind its cells as JSON values."""
@@ -225,9 +223,32 @@ class Table:
             "sources": list(self.sources),
         }
 
-    def json(self) -> str:
-        """`as_json` as text, one line for each row of the table and of its facts."""
-        return "{\n" + ",\n".join(_json_members(self.as_json())) + "\n}\n"
+
+def stack_csv(tables: Iterable[tuple[str, Table]]) -> str:
+    """Tables, each with the name of its data set, below each other as CSV, with a column for every head of any of them.
+
+    Two columns before these say which table a row is from. Heads name the protocol, so that two protocols never share
+    a column.
+    """
+    stacked = [(name, table, _number_heads(table._csv_heads)) for name, table in tables]
+    columns = list(dict.fromkeys(head for _, _, heads in stacked for head in heads))
+    lines = [("from data set", "from table", *(head for head, _ in columns))]
+    for name, table, heads in stacked:
+        for row in table._csv_rows():
+            values = dict(zip(heads, row, strict=True))
+            lines.append((name, table.name, *(values.get(column, "") for column in columns)))
+    return _format_csv(lines)
+
+
+def _number_heads(heads: Sequence[str]) -> list[tuple[str, int]]:
+    """Heads with how often each was there before: a table may have two of one name."""
+    return [(head, heads[:place].count(head)) for place, head in enumerate(heads)]
+
+
+def _format_csv(lines: Iterable[Sequence[str]]) -> str:
+    stream = io.StringIO()
+    csv.writer(stream, lineterminator="\n").writerows(lines)
+    return stream.getvalue()
 
 
 def format_tables(tables: Sequence[Table], *, wide: bool, verbose: bool, width: int | None = None) -> str:
@@ -330,12 +351,3 @@ def _latex_groups(groups: Groups) -> Iterator[str]:
         first += span
     yield " & ".join(cells) + r" \\"
     yield " ".join(rules)
-
-
-def _json_members(value: dict[str, Any]) -> Iterator[str]:
-    for name in sorted(value):
-        if name in ("rows", "cells") and value[name]:
-            lines = ",\n".join(canonical_json(row) for row in value[name])
-            yield f"{canonical_json(name)}:[\n{lines}\n]"
-        else:
-            yield f"{canonical_json(name)}:{canonical_json(value[name])}"

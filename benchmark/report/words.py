@@ -1,6 +1,32 @@
-"""Words of sentences that depend on numbers, and of commands that a sentence names."""
+"""Words of sentences that depend on numbers, of commands that a sentence names, and behind abbreviations."""
 
 import shlex
+from collections.abc import Mapping
+from typing import Final
+
+ABBREVIATIONS: Final[Mapping[str, str]] = {
+    "R157": "UN Regulation 157 on automated lane keeping: its driver brakes when a cut-in comes too close",
+    "CC": "careful and competent human driver of UN Regulation 157, Annex 3",
+    "FSM": "fuzzy safety model: a driver who brakes the harder, the less safe the distance is",
+    "RSS": "responsibility-sensitive safety: a driver who keeps the distance that a full stop needs",
+    "IDM": "intelligent driver model: a driver who keeps a time gap to whoever is ahead",
+    "TTC": "time to contact, if both keep their velocities",
+    "TET": "time exposed: how long the time to contact is below 1.5 s",
+    "TIT": "time integrated: by how much the time to contact is below 1.5 s, summed over time",
+    "PET": "post-encroachment time: between one leaving a place and the other reaching it",
+    "BTN": "braking threat number: deceleration that is needed, as a part of what the vehicle can do",
+    "NC": "no collision at fault",
+    "DAC": "drivable area compliance",
+    "DDC": "driving direction compliance",
+    "EP": "progress of the ego along its route",
+    "LK": "lane keeping",
+    "HC": "history comfort",
+    "EC": "extended comfort: consecutive plans agree in their motion",
+    "SC": "subject consistency",
+    "IQ": "imaging quality",
+    "MTR": "multi-round refinement",
+}
+"""Words behind abbreviations in heads and notes, which the site shows when they are pointed at."""
 
 
 def pluralise(count: int, one: str, many: str | None = None) -> str:

@@ -1,7 +1,7 @@
 """Figures from run records: collision rate over the horizon, disagreement of protocols, who fails which manoeuvre."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, Final
 
@@ -21,7 +21,7 @@ from benchmark.records.run_schema import ProtocolSummary
 from benchmark.report.canvas import sanitise_name
 from benchmark.report.plots import PlotTheme, Sketch, new_figure, render_for_pages
 from benchmark.report.words import format_title
-from leaderboard.frame.rows import list_splits, name_cell, name_judge
+from leaderboard.frame.rows import OFF_SCALE, list_splits, name_cell, name_judge
 from leaderboard.frame.runs import DataSetRuns, RunRow
 from leaderboard.page.sections import NamedFigure
 
@@ -103,14 +103,23 @@ def _horizon_figure(data_name: str, protocol: str, rows: Sequence[RunRow[Protoco
         axes.grid(axis="y", color=theme.rule, linewidth=0.6)
         axes.spines[["top", "right"]].set_visible(False)
     panels[0].set_ylabel("collision rate (%)")
-    # Panels share this axis: its limit is known once all are drawn.
-    panels[0].set_ylim(bottom=0)
+    # Panels share this axis.
+    top, most = (max(_list_ends(rows, on_scale=scale), default=0.0) for scale in (True, False))
+    panels[0].set_ylim(0, 1.05 * top if top else None)
     lines = [mpl.lines.Line2D([], [], **style[name]) for name in planners]
-    names = [names_of[name] for name in planners]
+    names = [f"{names_of[name]}{' (off scale)' * (name == OFF_SCALE and 0.0 < top < most)}" for name in planners]
     figure.tight_layout(rect=(0, below / figure.get_figheight(), 1, 0.93))
     label_below(figure, lines, names, _LEGEND_COLUMNS, columnspacing=1.2)
     _write_heading(figure, f"{sanitise_name(data_name)}: collision rate over the horizon, {name_judge(protocol)}")
     return figure
+
+
+def _list_ends(rows: Sequence[RunRow[ProtocolSummary]], *, on_scale: bool) -> Iterator[float]:
+    """Rates and upper ends of their intervals in per cent, of all planners but `OFF_SCALE`, or of that one alone."""
+    for row in rows:
+        if (row.record.planner != OFF_SCALE) == on_scale:
+            rates = [row.found.columns["collision"][horizon] for horizon in HORIZON_STEPS]
+            yield from (100 * end for rate in rates for end in (rate.value, rate.high) if end is not None)
 
 
 def _draw_band(axes: Axes, rates: Mapping[str, Rate], style: dict[str, Any]) -> None:

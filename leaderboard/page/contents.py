@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final
-from urllib.parse import quote
 
 from benchmark.machine.extension import list_offers
 from benchmark.machine.storage import sanitise_file_name
@@ -12,14 +11,13 @@ from leaderboard.figures.pressure import pressure_figures
 from leaderboard.frame.results import LeaderboardResults
 from leaderboard.page.sections import (
     CLOSED_LOOP,
-    TABLES_FOLDER,
+    GENERATION,
     Section,
     SectionItem,
     build_extension_sections,
     drop_repeated_notes,
     find_group,
-    find_page_path,
-    format_page,
+    find_kind,
 )
 from leaderboard.paper.document import build_paper_tables, format_paper_document
 from leaderboard.paper.runtime_chart import runtime_charts
@@ -27,6 +25,10 @@ from leaderboard.tables.contents import build_data_set_tables, closed_loop_table
 from leaderboard.tables.drives import DISAGREEMENTS
 from leaderboard.tables.published import published_comparison_tables, published_tables
 from leaderboard.tables.slices import SLICES
+
+TABLES_FOLDER: Final = "tables"
+PAPER_FOLDER: Final = "paper"
+"""Hold files of the leaderboard and nothing else, so that what is no longer made there can be told."""
 
 
 def data_set_sections(results: LeaderboardResults) -> Iterator[Section]:
@@ -38,19 +40,12 @@ def data_set_sections(results: LeaderboardResults) -> Iterator[Section]:
         items: list[SectionItem] = [*(f"- {escape_markdown(note)}" for note in notes), ""] if notes else []
         for table in set_tables.front:
             items += [table, *([of_tables[table.name]] if table.name in of_tables else [])]
-        pages = {
-            find_page_path(name, judge): (f"protocol {judge}", tables) for judge, tables in set_tables.others.items()
-        }
+        items += figures
         if set_tables.slices:
-            page = find_page_path(name, SLICES)
-            link = f"[{SLICES}]({quote(page)})"
-            items += [*figures, f"The same by place, light, manoeuvre of the adversary, speed and command: {link}.", ""]
-            pages = {page: (SLICES, set_tables.slices), **pages}
-        else:
-            items += figures
-        links = [f"[{escape_markdown(judge)}]({quote(find_page_path(name, judge))})" for judge in set_tables.others]
-        if links:
-            items += [f"Changes, planners and transfer under other protocols: {', '.join(links)}.", ""]
+            items += [f"By place, light, manoeuvre of the adversary, speed and command: {_name_file(SLICES)}.", ""]
+        if set_tables.others:
+            files = ", ".join(map(_name_file, ("changes", "planners", "transfer")))
+            items += [f"Changes, planners and transfer under other protocols: {files}.", ""]
         items += [tables[0] for tables in set_tables.others.values()]
         groups = dict.fromkeys(map(find_group, set_tables.front))
         yield Section(
@@ -59,14 +54,15 @@ def data_set_sections(results: LeaderboardResults) -> Iterator[Section]:
             list(drop_repeated_notes(items)),
             [
                 *((group, [table for table in set_tables.front if find_group(table) == group]) for group in groups),
-                *pages.values(),
+                *([(SLICES, set_tables.slices)] if set_tables.slices else []),
+                *((f"protocol {judge}", tables) for judge, tables in set_tables.others.items()),
             ],
             [*of_tables.values(), *figures],
-            {
-                path: format_page(f"{heading}: {escape_markdown(label)}", tables)
-                for path, (label, tables) in pages.items()
-            },
         )
+
+
+def _name_file(kind: str) -> str:
+    return f"`{TABLES_FOLDER}/{kind}.csv`"
 
 
 def closed_loop_sections(results: LeaderboardResults) -> Iterator[Section]:
@@ -74,7 +70,6 @@ def closed_loop_sections(results: LeaderboardResults) -> Iterator[Section]:
     for name in sorted({record.facts.data.name for record in results.drives}):
         own = [record for record in results.drives if record.facts.data.name == name]
         tables, figures = closed_loop_tables(name, own, results.runs), pressure_figures(own)
-        heading, page = f"{escape_markdown(name)}: {CLOSED_LOOP}", find_page_path(name, "closed-loop")
         scenes = [table for table in tables if table.name.startswith(DISAGREEMENTS)]
         engines = {record.facts.measured.engine for record in own} - {"default", *list_offers("engine")}
         items: list[SectionItem] = [
@@ -82,9 +77,9 @@ def closed_loop_sections(results: LeaderboardResults) -> Iterator[Section]:
             *(table for table in tables if table not in scenes),
         ]
         if scenes:
-            items += [f"Scenes on which the two loops disagree: [{CLOSED_LOOP}]({quote(page)}).", ""]
-        files = {page: format_page(heading, tables)}
-        yield Section(name, heading, [*items, *figures], [(CLOSED_LOOP, tables)], figures, files)
+            items += [f"Scenes on which the two loops disagree: {_name_file(find_kind(scenes[0].name))}.", ""]
+        heading = f"{escape_markdown(name)}: {CLOSED_LOOP}"
+        yield Section(name, heading, [*items, *figures], [(CLOSED_LOOP, tables)], figures)
 
 
 def extension_sections(results: LeaderboardResults) -> Iterator[Section]:
@@ -97,7 +92,7 @@ def paper_sections(results: LeaderboardResults) -> Iterator[Section]:
     frames = {frame.data_name: frame for frame in results.frames}
     records = {name: frame.given for name, frame in frames.items()}
     for name, tables in build_paper_tables(records, results.sheets, results.ablations).items():
-        folder, charts = f"{TABLES_FOLDER}/{sanitise_file_name(name)}", runtime_charts(name, results.sheets)
+        folder, charts = f"{PAPER_FOLDER}/{sanitise_file_name(name)}", runtime_charts(name, results.sheets)
         beside = {f"paper-runtime-{number}.png": chart for number, chart in enumerate(charts)}
         document = format_paper_document(name, tables, [(path, chart.title) for path, chart in beside.items()])
         front: Iterable[Table] = frames[name].once(build_data_set_tables).front if name in frames else ()
@@ -125,9 +120,8 @@ def paper_sections(results: LeaderboardResults) -> Iterator[Section]:
 
 def generation_sections(results: LeaderboardResults) -> Iterator[Section]:
     """Scenes and how they were generated, for each data set."""
-    group = "scenes and their generation"
     for name, tables in generation_tables(results.sheets, results.ablations).items():
-        yield Section.of_tables(name, group, f"{escape_markdown(name)}: {group}", tables)
+        yield Section.of_tables(name, GENERATION, f"{escape_markdown(name)}: {GENERATION}", tables)
 
 
 def published_sections(results: LeaderboardResults) -> Iterator[Section]:

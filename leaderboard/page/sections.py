@@ -5,50 +5,51 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from benchmark.machine.extension import import_from_extension, list_offers
-from benchmark.machine.storage import sanitise_file_name
 from benchmark.records.driving import PDM
 from benchmark.report.table import Table
 
 COST: Final = "cost"
 """Name of the table of latency and memory."""
-TABLES_FOLDER: Final = "tables"
-"""Holds one folder for each data set and nothing else, so that what is no longer made there can be told."""
-
 CLOSED_LOOP: Final = "closed loop"
 """Heading above tables of drives."""
+GENERATION: Final = "scenes and their generation"
 _RATES: Final = "collision rates"
 _GROUPS: Final = {
-    "planners and transfer": ("planners", "transfer", "lift", "agreement"),
-    "attacks and scenes": ("attack", "severity", "ladder", "validity", "realism"),
-    "causes and protocols": ("diagnosis", "disagreement"),
+    "effect of the adversary": ("effect",),
+    "severity": ("attack", "severity"),
+    "causes": ("diagnosis",),
     "driving scores": (PDM,),
     "cost": (COST,),
+    "transfer": ("transfer", "lift", "agreement"),
+    "pairs of planners": ("planners",),
+    "adversaries": ("ladder", "validity", "realism"),
+    "protocols against exact": ("disagreement",),
 }
 """Groups of tables on the site, by the first word of a table's name; all others are `_RATES`."""
+TABS: Final = ("results", "transfer", "scenes", "planners", "generation", "protocols")
+"""Tabs of the site."""
+_TABS_OF: Final = {
+    **dict.fromkeys(("transfer", "pairs of planners", "lift"), "transfer"),
+    **dict.fromkeys(("adversaries", GENERATION, "video quality", "runtime"), "generation"),
+    **dict.fromkeys(("protocols against exact", "disagreement"), "protocols"),
+    "refinement": "scenes",
+}
+"""Tabs of groups of tables, and of figures by the first word of their names; all others are results."""
 
 
 def find_group(table: Table) -> str:
     """Group that a table under ``exact`` and the planners' own protocols is shown in."""
-    kind = table.name.partition("-")[0]
-    return next((group for group, kinds in _GROUPS.items() if kind in kinds), _RATES)
+    return next((group for group, kinds in _GROUPS.items() if find_kind(table.name) in kinds), _RATES)
 
 
-def format_page(heading: str, tables: Sequence[Table]) -> bytes:
-    """A page of tables, in Markdown, as its heading is."""
-    return "\n".join([f"# {heading}", "", *(table.markdown() for table in tables)]).encode()
+def find_tab(shown: str) -> str:
+    """Tab of the site that a group of tables, or a figure with this first word, is shown in."""
+    return "protocols" if shown.startswith("protocol ") else _TABS_OF.get(shown, TABS[0])
 
 
-def find_page_path(data_name: str, name: str) -> str:
-    """Path of a page of a data set below the leaderboard's folder."""
-    return f"{TABLES_FOLDER}/{sanitise_file_name(data_name)}/{sanitise_file_name(name)}.md"
-
-
-def format_table_files(folder: str, tables: Sequence[Table]) -> dict[str, bytes]:
-    """LaTeX, CSV and JSON of tables, by path."""
-    named = {f"{folder}/{sanitise_file_name(table.name)}": table for table in tables}
-    latex = {f"{name}.tex": table.latex().encode() for name, table in named.items()}
-    facts = {f"{name}.json": table.json().encode() for name, table in named.items()}
-    return latex | facts | {f"{name}.csv": table.csv().encode() for name, table in named.items()}
+def find_kind(name: str) -> str:
+    """First word of the name of a table or figure: one of a kind stand in one CSV file."""
+    return name.partition("-")[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +70,8 @@ SectionItem = str | Table | NamedFigure
 class Section:
     """Contents under one heading, in Markdown; it is empty where it goes on under the one before.
 
-    `tables` have files, by their group on the site; `files` are further ones, by path below the leaderboard's folder;
-    `data_name` is empty for published numbers.
+    `tables` are written as data too, by their group on the site; `files` are further ones, by path below the
+    leaderboard's folder; `data_name` is empty for published numbers.
     """
 
     data_name: str

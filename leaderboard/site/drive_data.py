@@ -100,14 +100,16 @@ def build_drive_index(drives: Sequence[DriveRecord], sheets: ScenePages) -> list
                 "scene": scene_key(named_drive.scene),
                 "planner": name_cell(named_drive.name, facts.planner).text,
                 "measured": f"{facts.measured.world}{family}, sensor {facts.measured.sensor}{run}",
-                "outcome": _describe_outcome(row),
+                "outcome": _describe_outcome(named_drive, sheets),
                 "note": _describe_view(named_drive, sheets),
             }
         )
     return entries
 
 
-def _describe_outcome(row: EpisodeRow) -> str:
+def _describe_outcome(named_drive: _NamedDrive, sheets: ScenePages) -> str:
+    """What became of a drive; the time of a contact is that of the scene, where a sheet says when it begins."""
+    row = named_drive.row
     if row.end == "failed":
         return f"failed ({row.failure.reason if row.failure is not None else 'no reason given'}): nothing is scored"
     if row.contact is None:
@@ -115,7 +117,15 @@ def _describe_outcome(row: EpisodeRow) -> str:
     contact = row.contact
     whom = f"{contact.category}{', the adversary' if contact.adversary else ''}"
     fault = "at fault" if contact.at_fault else "not at fault"
-    return f"contact after {format_number(contact.seconds, 1)} s with {whom}, {fault}"
+    when = f"after {format_number(contact.seconds, 1)} s of driving"
+    if _has_scene_page(named_drive, sheets):
+        ticks = _seconds_of_ticks(row, sheets.scenes[named_drive.scene].sheet)
+        when = f"at {format_number(float(ticks[row.primed - 1]) + contact.seconds, 1)} s"
+    return f"contact {when} with {whom}, {fault}"
+
+
+def _seconds_of_ticks(row: EpisodeRow, sheet: ScenePage) -> Floats:
+    return (np.array(row.ticks.time_us, np.int64) - sheet.timestamps_us[0]) * 1e-6
 
 
 def _describe_view(named_drive: _NamedDrive, sheets: ScenePages) -> str:
@@ -155,7 +165,7 @@ def _adversary_is_shown(named_drive: _NamedDrive, sheets: ScenePages) -> bool:
 
 def _build_drive(named_drive: _NamedDrive, sheet: ScenePage) -> dict[str, Any]:
     row = named_drive.row
-    ticks = (np.array(row.ticks.time_us, np.int64) - sheet.timestamps_us[0]) * 1e-6
+    ticks = _seconds_of_ticks(row, sheet)
     states = np.array(row.ticks.ego, np.float64)
     states[:, :2] -= sheet.origin_m
     adversary = build_driven_adversary(sheet, row)

@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 from urllib.parse import quote
@@ -10,24 +10,23 @@ from urllib.parse import quote
 from benchmark.machine.storage import sanitise_file_name
 from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.rates import HORIZONS
-from benchmark.records.driving import PDM, SUB_SCORES
+from benchmark.records.driving import PDM
 from benchmark.records.planner_versions import list_file_notes
 from benchmark.records.run import RunRecord
 from benchmark.records.scene_pages import ScenePages
-from benchmark.report.cells import MINIATURE_WORDS, TableCell
+from benchmark.report.cells import MINIATURE_WORDS
 from benchmark.report.table import Table
-from benchmark.report.words import pluralise
+from benchmark.report.words import ABBREVIATIONS, pluralise
 from leaderboard.frame.results import LeaderboardResults
-from leaderboard.frame.rows import PRIVILEGED_NOTE, count_recordings, list_splits, name_cell, sort_for_tables
+from leaderboard.frame.rows import count_recordings, is_baseline, name_cell, sort_for_tables
 from leaderboard.frame.runs import DataSetRuns
-from leaderboard.frame.specification import TableColumn, Value, group_columns, number_columns, tabulate, text_columns
+from leaderboard.page.sections import find_kind, find_tab
 from leaderboard.site.drive_data import build_drive_index
 from leaderboard.site.scene_facts import scene_key
 from leaderboard.site.scene_index import build_scene_index
 from leaderboard.site.scene_words import LEGEND, list_filters, list_orders
 from leaderboard.site.start_page import build_starts
-from leaderboard.site.table_entries import OriginTable, sort_protocols, table_entry
+from leaderboard.site.table_entries import OriginTable, pivot_pairs, shade_pairs, sort_protocols, table_entry, take_part
 from leaderboard.tables.collision import collision_table
 from leaderboard.tables.effect import effect_table
 
@@ -113,29 +112,24 @@ def _to_text(value: Any) -> str | None:
 
 
 TITLE: Final = "challenger-bench"
-_FORMATS: Final = (".csv", ".tex", ".json")
 _OF_PLANNER: Final = ("collision-", "effect", "diagnosis", PDM)
 """First words of the names of tables whose rows a planner's page shows."""
-RATES: Final = {"average": "col. avg", "95 %": "95 % of avg"}
-"""Columns here, and of the table of collision rates that they are taken from."""
-EFFECT: Final = {"adversary": "adversary 3s", "difference": "difference", "95 %": "95 % of difference"}
-"""The same of the table of the effect of adversaries."""
-NOTES: Final = (
-    "Average of the collision rates at 1, 2 and 3 s in per cent, protocol exact; brackets: 95 % bootstrap interval "
-    "over recorded scenes.",
-    "Adversary: samples of adv whose plan touches the adversary before anything else within 3 s. Difference: contacts "
-    "with anything within 3 s, in points, beside the same recordings unchanged; its interval is over recordings.",
-)
+_MOVED: Final = {
+    "planners and transfer": "transfer",
+    "attacks and scenes": "results",
+    "causes and protocols": "protocols",
+    "figures": "results",
+}
+"""Tabs in which groups of tables of earlier sites are now; links to these groups lead there."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlacedTable:
-    """A table and the `folder` of its files below the leaderboard's; `group` is for example ``protocol vad``."""
+    """A table of a data set, or of none if its name is empty; `group` is for example ``protocol vad``."""
 
     table: Table
     data_name: str
     group: str
-    folder: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +141,7 @@ class PlacedFigure:
     """
 
     data_name: str
+    name: str
     title: str
     path: str
     dark_path: str
@@ -164,9 +159,14 @@ def build_index(
     index: dict[str, Any] = {
         "title": TITLE,
         "legend": LEGEND,
+        "abbreviations": ABBREVIATIONS,
         "protocols": sort_protocols(name for frame in results.frames for name in frame.protocols),
-        "tables": [_table_entry(placed, ids[number], origins, written) for number, placed in enumerate(tables)],
-        "keyTables": _key_tables(results.frames, origins, written),
+        "tables": [_table_entry(placed, ids[number], origins) for number, placed in enumerate(tables)],
+        "tabs": {**_MOVED, **{placed.group: find_tab(placed.group) for placed in tables}},
+        "mainTables": [
+            {**table_entry(table, f"main-{number}", origins), "data": name, "apart": apart, "sorted": column}
+            for number, (name, table, column, apart) in enumerate(build_main_tables(results.frames))
+        ],
         "figures": [_figure_entry(figure, written) for figure in figures if figure.path in written],
         **{name: say(results, written) for name, say in LISTS.items()},
         "origins": origins.found,
@@ -194,18 +194,12 @@ def _figure_entry(figure: PlacedFigure, written: frozenset[str]) -> dict[str, An
     dark = figure.dark_path if figure.dark_path in written else figure.path
     return {
         "data": figure.data_name,
+        "tab": find_tab(find_kind(figure.name)),
         "title": figure.title,
         "path": quote(figure.path),
         "dark": quote(dark),
         "size": figure.size_px,
     }
-
-
-def _key_tables(frames: Sequence[DataSetRuns], origins: OriginTable, written: frozenset[str]) -> list[dict[str, Any]]:
-    """Table of the first page of each data set."""
-    key_tables = [(frame.data_name, build_key_table(frame)) for frame in frames]
-    placed = [PlacedTable(table, name, "", "") for name, table in key_tables if table is not None]
-    return [_table_entry(placed_table, f"key-{number}", origins, written) for number, placed_table in enumerate(placed)]
 
 
 def _table_ids(tables: Iterable[PlacedTable]) -> list[str]:
@@ -218,18 +212,15 @@ def _table_ids(tables: Iterable[PlacedTable]) -> list[str]:
     return ids
 
 
-def _table_entry(placed: PlacedTable, name: str, origins: OriginTable, written: frozenset[str]) -> dict[str, Any]:
+def _table_entry(placed: PlacedTable, name: str, origins: OriginTable) -> dict[str, Any]:
     table = placed.table
-    stem = f"{placed.folder}/{sanitise_file_name(table.name)}"
-    heads = list(HORIZONS[:3]) if table.name.startswith("collision-") else []
-    heads = [f"col. {head}" for head in heads] or [*map(str.upper, SUB_SCORES)] * (table.name == PDM)
+    pairs = pivot_pairs(table) if find_kind(table.name) == "planners" else None
     return {
-        **table_entry(table, name, origins),
+        **table_entry(pairs or table, name, origins),
+        "heat": pairs and shade_pairs(pairs),
         "data": placed.data_name,
         "group": placed.group,
-        "files": {suffix[1:]: quote(stem + suffix) for suffix in _FORMATS if stem + suffix in written},
         "judge": table.name.removeprefix("collision-") if table.name.startswith("collision-") else None,
-        "chart": [table.columns.index(head) for head in heads if head in table.columns],
         "ofPlanner": table.name.startswith(_OF_PLANNER),
     }
 
@@ -262,40 +253,26 @@ LISTS: Final[dict[str, Callable[[LeaderboardResults, frozenset[str]], list[dict[
 """Lists shown on pages, by their names in the index."""
 
 
-def build_key_table(frame: DataSetRuns) -> Table | None:
-    """Averages with their intervals under ``exact``, a row a planner; ``None`` where nothing was judged by it."""
-    judged = [row.record for row in frame.judged(EXACT)]
-    if not judged:
-        return None
-    collisions, effect = frame.once(collision_table, EXACT), frame.once(effect_table)
-    row_numbers = {(run.planner, run.run.split): row for row, run in enumerate(judged)}
-    attacked = enumerate(filter(has_adversaries, frame.runs))
-    caused = {run.planner: row for row, run in attacked if run.run.split == "adv" and EXACT in run.summary.protocols}
-    planners, splits = {run.planner: run.run.planner for run in judged}, list_splits(judged)
-    of_adversary = EFFECT if effect is not None and caused else {}
-    rows: list[dict[str, Value]] = []
-    for name, facts in planners.items():
-        rows.append({"planner": name_cell(name, facts).text})
-        for split in splits:
-            row = row_numbers.get((name, split))
-            rows[-1] |= {f"{head} on {split}": _take_cell(collisions, row, column) for head, column in RATES.items()}
-        if effect is not None:
-            rows[-1] |= {head: _take_cell(effect, caused.get(name), column) for head, column in of_adversary.items()}
-    columns = [
-        *text_columns("planner"),
-        *(TableColumn(head, f"{head} on {split}", split) for split in splits for head in RATES),
-        *group_columns("effect of the adversary", number_columns(*of_adversary)),
-    ]
-    notes = (
-        *(NOTES if of_adversary else NOTES[:1]),
-        *((PRIVILEGED_NOTE,) if any(facts.privileged for facts in planners.values()) else ()),
-        *((f"{MINIATURE_WORDS}.",) if any(facts.miniature for facts in planners.values()) else ()),
-    )
-    return tabulate("key", f"{frame.data_name}: collision rates (%), protocol exact", columns, rows, notes)
+def build_main_tables(frames: Iterable[DataSetRuns]) -> Iterator[tuple[str, Table, int, int]]:
+    """The table that the site opens with: data set, table, the column that it is sorted by, first row of a baseline.
 
-
-def _take_cell(table: Table, row: int | None, column: str) -> TableCell | None:
-    if row is None or table.cells is None:
-        return None
-    place = table.columns.index(column)
-    return TableCell(table.rows[row][place], table.cells[row][place])
+    A row a planner on a split with adversaries, by the paired difference, in the columns that a terminal shows of the
+    effect table; where there are no adversaries, those of the collision rates under ``exact``.
+    """
+    for frame in frames:
+        table, head, runs = frame.once(effect_table), "difference", list(filter(has_adversaries, frame.runs))
+        if table is None and EXACT in frame.protocols:
+            table, head = frame.once(collision_table, EXACT), "col. avg"
+            runs = [row.record for row in frame.judged(EXACT)]
+        if table is None or table.brief is None or table.cells is None:
+            continue
+        column, baselines = table.columns.index(head), [is_baseline(run.run.planner) for run in runs]
+        found = [cell.value if cell else None for cell in (row[column] for row in table.cells)]
+        keys = [(last, value is None, value or 0.0) for last, value in zip(baselines, found, strict=True)]
+        rows = sorted(range(len(runs)), key=keys.__getitem__)
+        places = [
+            place for place, name in enumerate(table.columns) if place in table.brief.columns or name == "any, adv"
+        ]
+        if len({run.run.split for run in runs}) == 1:
+            places.remove(table.columns.index("split"))
+        yield frame.data_name, take_part(table, rows, places), places.index(column), baselines.count(False)

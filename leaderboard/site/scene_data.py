@@ -48,7 +48,7 @@ from benchmark.report.birdseye import BirdseyeScene
 from benchmark.report.palette import ON_DARK, ON_LIGHT, GroundColours
 from benchmark.report.placement import agent_box, ego_box
 from benchmark.waypoints import points_in_ego
-from leaderboard.frame.rows import sort_for_tables
+from leaderboard.frame.rows import is_baseline, sort_for_tables
 from leaderboard.site.packing import CENTIMETRE, encode_script, pack_path, pack_poses
 from leaderboard.site.scene_facts import SceneName, scene_key
 from leaderboard.site.scene_plans import build_planner_samples, list_differing, list_distances
@@ -151,6 +151,7 @@ def _build_scene(
         build_planner_samples(planner_run.record, planner_run.rows, tokens, poses, times, protocols, agents)
         for planner_run in ran
     ]
+    baselines = {each.record.planner for each in ran if is_baseline(each.record.run.planner)}
     closest = None
     if stored is not None and any(agent.adversary for agent in stored.sheet.agents):
         closest = seconds[find_closest_frame(stored.sheet)]
@@ -159,7 +160,7 @@ def _build_scene(
         **drawn,
         "samples": samples,
         "models": models,
-        "shown": [list_differing(models, place) for place in range(len(protocols))],
+        "shown": [list_differing(models, place, baselines) for place in range(len(protocols))],
         "closest": closest,
         "apart": list_distances(models, len(samples)),
     }

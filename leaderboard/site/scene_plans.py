@@ -1,6 +1,6 @@
 """Data of each planner in one scene, in the scene's local frame: plans, forecasts, verdicts."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -48,8 +48,8 @@ def build_planner_samples(
     """
     known = knows_adversaries(record) if attributes_contacts(record) else None
     entries = [
-        None if token not in rows else build_sample(rows[token], pose, protocols, agents, known=known)
-        for token, pose in zip(tokens, poses, strict=True)
+        None if token not in rows else build_sample(rows[token], pose, protocols, agents, known=known, time=time)
+        for token, pose, time in zip(tokens, poses, times, strict=True)
     ]
     adversarial = known is not None
     return {
@@ -85,12 +85,13 @@ def _describe_outcome(
     return ["good", "○ stays clear"] if unsaid is None else ["open", "– would collide; with whom is not said"]
 
 
-def list_differing(models: Sequence[Mapping[str, Any]], protocol: int) -> list[str]:
-    """Planners, privileged ones last, whose verdicts differ: two that fail and one that does not.
+def list_differing(models: Sequence[Mapping[str, Any]], protocol: int, baselines: Collection[str] = ()) -> list[str]:
+    """Planners whose verdicts differ: two that fail and one that does not; baselines only where nobody else ran.
 
     Where nobody differs, the first ones, those that fail before the others.
     """
     ran = [model for model in models if any(model["samples"])]
+    ran = [model for model in ran if model["name"] not in baselines] or ran
     failing = [model["name"] for model in ran if model["first"][protocol] is not None]
     others = [model["name"] for model in ran if model["first"][protocol] is None]
     clear = [model["name"] for model in ran if model["name"] in others and _is_judged(model, protocol)]
@@ -124,7 +125,13 @@ def list_distances(models: Sequence[Mapping[str, Any]], samples: int) -> list[li
 
 
 def build_sample(
-    row: SampleRow, axle: Floats, protocols: Sequence[str], agents: Mapping[str, int], *, known: bool | None = None
+    row: SampleRow,
+    axle: Floats,
+    protocols: Sequence[str],
+    agents: Mapping[str, int],
+    *,
+    known: bool | None = None,
+    time: float = 0.0,
 ) -> dict[str, Any]:
     """Entry of a planner's sample; a plan with lists of the wrong lengths is an `InputError`.
 
@@ -132,12 +139,12 @@ def build_sample(
     the sample and at the six waypoints, heading at the latter), ``modes`` (paths without the first point),
     ``forecasts`` (x, y, length and width in decimetres, yaw in hundredths of a radian, and the path in decimetres if it
     moves), ``judged`` (for each protocol its marks within 1, 2 and 3 s, 1 if the sample is counted, and where there is
-    a contact the seconds to the first one, as a number and in words; null if it did not judge or the surroundings are
-    not annotated), ``cause``, ``reason``, ``hit`` and ``l2`` (metres after 1, 2 and 3 s, in words). Every plan has
-    ``path``, ``yaw`` and ``judged``; what there is none of beyond them is left out.
+    a contact the seconds to the first one, and in words when it is in the scene; null if it did not judge or the
+    surroundings are not annotated), ``cause``, ``reason``, ``hit`` and ``l2`` (metres after 1, 2 and 3 s, in words).
+    Every plan has ``path``, ``yaw`` and ``judged``; what there is none of beyond them is left out.
 
-    `axle` is the (3,) pose of the rear axle at the sample, local; `known` says, on a split with adversaries, whether
-    the record tells who they are; `protocols` and `agents` as in `build_planner_samples`.
+    `axle` is the (3,) pose of the rear axle at the sample, local, `time` its seconds in the scene; `known` says, on a
+    split with adversaries, whether the record tells who they are; the others are as in `build_planner_samples`.
     """
     placed = place_plan(_sort_modes(row), axle)
     if placed is None:
@@ -149,7 +156,7 @@ def build_sample(
     always: dict[str, Any] = {
         "path": pack_path(np.vstack([start, placed.waypoints]), CENTIMETRE),
         "yaw": pack_series(placed.at_waypoints[:, 4].tolist(), MILLIRADIAN),
-        "judged": [_judge(name, outcome, row, known) for name, outcome in zip(protocols, judged, strict=True)],
+        "judged": [_judge(name, outcome, row, known, time) for name, outcome in zip(protocols, judged, strict=True)],
     }
     sometimes: dict[str, Any] = {
         "modes": [pack_path(mode, CENTIMETRE, begin) for mode in placed.modes[:MODES_SHOWN]],
@@ -191,7 +198,9 @@ def _pack_forecasts(forecasts: PlacedForecasts, axle: Floats) -> list[list[Any]]
     return packed
 
 
-def _judge(protocol: str, outcome: OutcomeRow | None, row: SampleRow, known: bool | None) -> list[Any] | None:
+def _judge(
+    protocol: str, outcome: OutcomeRow | None, row: SampleRow, known: bool | None, time: float
+) -> list[Any] | None:
     if outcome is None or outcome.collision is None:
         return None
     hits = outcome.collision
@@ -206,7 +215,7 @@ def _judge(protocol: str, outcome: OutcomeRow | None, row: SampleRow, known: boo
     seconds = PLAN_STEP_S * (hits.index(True) + 1)
     if protocol == EXACT and row.diagnosis is not None:
         seconds = row.diagnosis.first_contact_s
-    return [marks, counted, round(seconds, 2), f"{format_number(seconds, 1)} s"]
+    return [marks, counted, round(seconds, 2), f"{format_number(time + seconds, 1)} s"]
 
 
 def _find_displacements(judged: Sequence[OutcomeRow | None]) -> list[str] | None:

@@ -108,16 +108,17 @@ def judge_entry(said: AssessmentSummary | None, severity: Mapping[str, SceneSeve
     """What a card says of a scene's adversary and of the most severe contact, and what scenes are filtered by.
 
     ``judged`` (kind, text, title of each part), ``survives`` and ``hits`` (names of drivers), ``verdict`` (values of
-    the filter), ``order`` (numbers, least first), ``severe`` (by planner, and under no name the most severe of all:
-    number, text, title).
+    the filter), ``order`` (numbers, least first). The most severe contact is that of any planner, which is named: one
+    number a scene, whoever is filtered by.
     """
     entry: dict[str, Any] = {"judged": [], "survives": [], "hits": [], "verdict": [], "order": {}}
-    worst = {name: of for name, of in severity.items() if of.delta_v is not None}
-    if worst:
-        hardest = max(worst.values(), key=lambda of: of.delta_v or 0.0)
-        entry["severe"] = {name: _describe_contact(of) for name, of in ({"": hardest} | worst).items()}
+    touched = [(of.delta_v, name) for name, of in severity.items() if of.delta_v is not None]
+    contact = []
+    if touched:
+        delta_v, hardest = max(touched, key=lambda each: each[0])
+        contact, entry["order"]["severe"] = [_describe_contact(hardest, severity[hardest])], -delta_v
     if said is None:
-        return entry
+        return entry | {"judged": contact}
     survives, hits = _split_drivers(said)
     faults = [name.replace("_", " ") for name in said.faults]
     careful = "cc" in survives
@@ -131,12 +132,12 @@ def judge_entry(said: AssessmentSummary | None, severity: Mapping[str, SceneSeve
     if said.margin_s is not None:
         title = "from when somebody could have reacted to the last chance"
         entry["judged"].append(["", f"last chance {_format_margin(said.margin_s)}", title])
-    entry["judged"] += [["bad", fault, ""] for fault in faults]
+    entry["judged"] += [*(["bad", fault, ""] for fault in faults), *contact]
     solvable = "unsolvable" if said.unsolvable is True else "solvable"
     verdict = [solvable, "faulty" if faults else "sound", *(_FAULT + fault for fault in faults)]
     order = {"tight": said.least_ttc_s, "late": said.margin_s}
-    known = {name: value for name, value in order.items() if value is not None}
-    return entry | {"survives": survives, "hits": hits, "verdict": verdict, "order": known}
+    entry["order"] |= {name: value for name, value in order.items() if value is not None}
+    return entry | {"survives": survives, "hits": hits, "verdict": verdict}
 
 
 def _split_drivers(said: AssessmentSummary) -> tuple[list[str], list[str]]:
@@ -144,14 +145,14 @@ def _split_drivers(said: AssessmentSummary) -> tuple[list[str], list[str]]:
     return survives, [name for name in DRIVER_NAMES if name not in survives]
 
 
-def _describe_contact(of: SceneSeverity) -> list[Any]:
-    title = f"most severe contact of a plan: impact at {_format_amount(of.speed, 1, 'm/s')}"
-    return [of.delta_v, f"delta-v {_format_amount(of.delta_v, 1, 'm/s')}", title]
+def _describe_contact(planner: str, of: SceneSeverity) -> list[str]:
+    title = f"most severe contact of a plan of any planner: impact at {_format_amount(of.speed, 1, 'm/s')}"
+    return ["", f"delta-v {_format_amount(of.delta_v, 1, 'm/s')} ({planner})", title]
 
 
 def list_filters(entries: Sequence[Mapping[str, Any]], planners: Sequence[str]) -> list[dict[str, Any]]:
     """What scenes are filtered by: ``name``, ``label``, ``any`` (words for no choice) and ``choices`` of each."""
-    judged = any(entry["judged"] for entry in entries)
+    judged = any(entry["verdict"] for entry in entries)
     drivers = [[name, _HEADS[name]] for name in DRIVER_NAMES] if judged else []
     faults = sorted({word for entry in entries for word in entry["verdict"] if word.startswith(_FAULT)})
     verdicts = [list(choice) for choice in _VERDICTS.items()] + [[fault, fault] for fault in faults] if judged else []
@@ -172,7 +173,7 @@ def list_filters(entries: Sequence[Mapping[str, Any]], planners: Sequence[str]) 
 
 def list_orders(entries: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     """Orders that tell these scenes apart, with their words."""
-    known = {name for entry in entries for name in (*entry["order"], *(["severe"] if "severe" in entry else []))}
+    known = {name for entry in entries for name in entry["order"]}
     return [[name, words] for name, words in ORDERS.items() if name in known or name not in ("severe", "tight", "late")]
 
 

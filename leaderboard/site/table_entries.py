@@ -1,12 +1,15 @@
 """Tables as the site's data: the rows as they were rendered, and the facts behind their cells."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from itertools import groupby
 from typing import Any
 
 from benchmark.metrics.disagreement import EXACT
 from benchmark.report.cells import CellSource, format_number
 from benchmark.report.table import Table
+from leaderboard.frame.rows import OFF_SCALE
 
 
 def sort_protocols(names: Iterable[str]) -> list[str]:
@@ -29,6 +32,65 @@ def table_entry(table: Table, name: str, origins: "OriginTable | None" = None) -
         "cells": cells,
         "notes": table.remarks,
     }
+
+
+def take_part(table: Table, rows: Sequence[int], columns: Sequence[int]) -> Table:
+    """Some rows and columns of a table that has facts, by their places, with the notes that a terminal shows."""
+    labels = [label for label, span in table.groups for _ in range(span)] or [""] * len(table.columns)
+    brief = table.brief
+    return replace(
+        table,
+        title=table.title if brief is None else brief.title,
+        columns=tuple(table.columns[column] for column in columns),
+        rows=tuple(tuple(table.rows[row][column] for column in columns) for row in rows),
+        notes=table.notes if brief is None else brief.notes,
+        text_columns=sum(column < table.text_columns for column in columns),
+        groups=tuple((label, len(list(same))) for label, same in groupby(labels[column] for column in columns)),
+        cells=None if table.cells is None else tuple(tuple(table.cells[r][c] for c in columns) for r in rows),
+        miniatures=tuple(table.miniatures[row] for row in rows) if table.miniatures else (),
+        brief=None,
+    )
+
+
+def pivot_pairs(table: Table) -> Table:
+    """A table of pairs of planners as a matrix: differences above its diagonal, their intervals below it."""
+    value = next(place for place, name in enumerate(table.columns) if name.startswith("second − first"))
+    names = list(dict.fromkeys(name for row in table.rows for name in row[:2]))
+    texts = [[name, *[""] * len(names)] for name in names]
+    facts: list[list[CellSource | None]] = [[None] * (len(names) + 1) for _ in names]
+    for row, cells in zip(table.rows, table.cells or ()):
+        first, second = names.index(row[0]), names.index(row[1])
+        for at, to, shown in ((first, second, value), (second, first, value + 1)):
+            texts[at][to + 1], facts[at][to + 1] = row[shown], cells[shown]
+    note = "Above the diagonal: the planner of the column less that of the row, in points; below it: the 95 % interval."
+    return replace(
+        table,
+        columns=("planner", *names),
+        rows=tuple(map(tuple, texts)),
+        notes=(note, *table.notes),
+        text_columns=1,
+        groups=(("", 1), (table.groups[-2][0], len(names))) if names else (),
+        cells=tuple(map(tuple, facts)),
+        miniatures=(),
+        brief=None,
+    )
+
+
+def shade_pairs(table: Table) -> list[list[str | None]]:
+    """Shades of the cells of `pivot_pairs`: ``p`` above zero, ``m`` below, 1 to 3 by size; ``b`` if beyond chance."""
+    cells = [[cell.value or 0.0 if cell else 0.0 for cell in row] for row in table.cells or ()]
+    on_scale = [place for place, name in enumerate(table.columns) if name != OFF_SCALE]
+    most = max((abs(cells[row - 1][column]) for row in on_scale[1:] for column in on_scale), default=0.0) or 1.0
+
+    def shade(cell: CellSource | None) -> str | None:
+        if cell is None or not cell.value:
+            return None
+        beyond = cell.low is not None and cell.high is not None and cell.low * cell.high > 0
+        return (
+            f"{'p' if cell.value > 0 else 'm'}{min(math.ceil(3 * abs(cell.value) / most), 3)}{' b' if beyond else ''}"
+        )
+
+    return [[shade(cell) for cell in row] for row in table.cells or ()]
 
 
 class OriginTable:

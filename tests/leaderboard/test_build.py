@@ -1,6 +1,9 @@
 """From records to files: the same bytes whatever the order, and nothing in one table that does not belong together."""
 
-from collections.abc import Sequence
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -10,6 +13,7 @@ import pytest
 from adapters.planners.log_replay import LogReplay
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
+from benchmark.machine.storage import write_bytes
 from benchmark.records.drives import DriveRecord
 from benchmark.records.run import RunRecord, find_records
 from benchmark.records.run_schema import SceneFacts
@@ -22,7 +26,6 @@ from tests.benchmark.planners import Straight
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 from tests.benchmark.records.test_drives import contact, written
 from tests.benchmark.records.test_drives import row as drive_row
-from tests.leaderboard.csv_rows import csv_rows
 
 FIRST_SCENE = EvalSettings(scenes=("scene-9901",))
 
@@ -68,6 +71,14 @@ def files(runs: tuple[RunRecord, ...]) -> dict[str, str]:
     return texts(runs)
 
 
+def rows_of(files: Mapping[str, str], table: str) -> list[dict[str, str]]:
+    """Rows of a table in the file of its kind; of each the columns that the table has."""
+    rows = csv.DictReader(io.StringIO(files[f"tables/{table.partition('-')[0]}.csv"]))
+    of_table = [row for row in rows if row["from table"] == table]
+    heads = [head for head in of_table[0] if any(row[head] for row in of_table)]
+    return [{head.partition(" | ")[0]: row[head] for head in heads} for row in of_table]
+
+
 def named(record: RunRecord, *, data: str | None = None, planner: str | None = None) -> RunRecord:
     run = record.run
     facts = run.data.model_copy(update={"name": data or run.data.name})
@@ -76,8 +87,8 @@ def named(record: RunRecord, *, data: str | None = None, planner: str | None = N
 
 
 def test_the_same_records_give_the_same_bytes(runs: tuple[RunRecord, ...], drawn: None) -> None:
-    files = build_leaderboard_files(read_results(runs))
-    assert build_leaderboard_files(read_results(runs[::-1])) == files
+    files = build_leaderboard_files(read_results(runs), figures=True)
+    assert build_leaderboard_files(read_results(runs[::-1]), figures=True) == files
     assert [name for name in files if name.endswith(".png")] == [
         "figures/fake/transfer-val-exact.png",
         "figures/fake/transfer-adv-exact.png",
@@ -91,7 +102,7 @@ def test_the_same_records_give_the_same_bytes(runs: tuple[RunRecord, ...], drawn
 
 
 def test_one_row_for_each_planner_and_split_with_what_was_counted(files: dict[str, str]) -> None:
-    rows = csv_rows(files["tables/fake/collision-exact.csv"])
+    rows = rows_of(files, "collision-exact")
     named = ("straight", "log-replay †")
     assert [(row["planner"], row["split"]) for row in rows] == [*product(named, ("val", "adv"))]
     assert rows[0]["col. 3s"] == "0.00" and float(rows[1]["col. 3s"]) > 0.0
@@ -100,19 +111,23 @@ def test_one_row_for_each_planner_and_split_with_what_was_counted(files: dict[st
 
 
 def test_what_is_written_is_current_until_something_changes(runs: tuple[RunRecord, ...], tmp_path: Path) -> None:
-    """Also: a table that is no longer made is stale, and goes when the leaderboard is written again."""
-    written = write_leaderboard(read_results([*runs, named(runs[0], data="gone")]), tmp_path)
+    """Also: what is no longer made or asked for, as tables of earlier releases, is stale and goes with the next one."""
+    results = read_results(runs)
+    written = write_leaderboard(results, tmp_path, figures=True)
     assert all(path.is_file() for path in written)
-    (tmp_path / "tables" / "fake" / "notes.txt").write_text("mine")
-    stale = find_stale_files(read_results(runs), tmp_path)
-    assert any("gone" in sentence and "no longer" in sentence for sentence in stale)
-    write_leaderboard(read_results(runs), tmp_path)
-    assert find_stale_files(read_results(runs), tmp_path) == []
-    assert not list((tmp_path / "tables" / "gone").iterdir())
-    assert (tmp_path / "tables" / "fake" / "notes.txt").read_text() == "mine"
+    assert find_stale_files(results, tmp_path, figures=True) == []
+    (tmp_path / "tables" / "notes.txt").write_text("mine")
+    write_bytes(tmp_path / "tables" / "fake" / "collision-exact.tex", b"of an earlier release")
+    stale = [sentence for sentence in find_stale_files(results, tmp_path) if "site" not in sentence]
+    gone = {sentence.rpartition(" is no longer ")[0].rpartition("/")[2] for sentence in stale}
+    assert gone >= {"collision-exact.tex", "transfer-adv-exact.png", "transfer-adv-exact.svg"}
+    write_leaderboard(results, tmp_path)
+    assert find_stale_files(results, tmp_path) == []
+    assert [path for path in tmp_path.glob("*/fake/*") if path.parts[-3] in ("tables", "figures")] == []
+    assert (tmp_path / "tables" / "notes.txt").read_text() == "mine"
     (tmp_path / "README.md").write_text("edited")
-    (tmp_path / "published" / "published.csv").unlink()
-    assert sorted(sentence.rpartition("/")[2] for sentence in find_stale_files(read_results(runs), tmp_path)) == [
+    (tmp_path / "published.csv").unlink()
+    assert sorted(sentence.rpartition("/")[2] for sentence in find_stale_files(results, tmp_path)) == [
         "README.md differs from the run records",
         "published.csv is missing",
     ]
@@ -166,7 +181,7 @@ def test_adversarial_scenes_under_the_name_of_another_split_are_refused() -> Non
 
 def test_published_numbers_are_in_no_table_of_ours(runs: tuple[RunRecord, ...]) -> None:
     files = texts([named(runs[0], data="published")])
-    assert "UniAD" in files["published/published.csv"] and "not ours" in files["README.md"]
+    assert "UniAD" in files["published.csv"] and "not ours" in files["README.md"]
     ours = [text for name, text in files.items() if name.startswith("tables/")]
     assert len(ours) > 2 and not any("UniAD" in text for text in ours)
 
@@ -174,7 +189,7 @@ def test_published_numbers_are_in_no_table_of_ours(runs: tuple[RunRecord, ...]) 
 def test_transfer_shows_counts_and_a_dash_where_the_surrogate_never_fails() -> None:
     scenes = {"straight": HIT, "elsewhere": CLEAN, "seer": CLEAN}
     runs = [hand_made(name, {"a": [first], "b": [CLEAN]}, privileged=name == "seer") for name, first in scenes.items()]
-    rows = csv_rows(texts(runs)["tables/d/transfer-adv-exact.csv"])
+    rows = rows_of(texts(runs), "transfer-adv-exact")
     by_surrogate = {row["surrogate"]: row for row in rows}
     assert by_surrogate["straight"]["its failed scenes"] == "1"
     assert [row["surrogate"] for row in rows] == ["elsewhere", "straight", "seer †", "all scenes"]
@@ -189,11 +204,13 @@ def test_names_from_strangers_records_stay_inside_the_folder(runs: tuple[RunReco
     folder, names = tmp_path / "board", ["../../evil", "..", "a/b", ".hidden", "README.md"]
     # Two planners on one split, which have figures.
     strange = [named(record, data=name) for name in names for record in runs if record.run.split == "adv"]
-    for path in write_leaderboard(read_results(strange), folder):
+    for path in write_leaderboard(read_results(strange), folder, figures=True):
         assert path.resolve().is_relative_to(folder.resolve())
     assert [path.name for path in tmp_path.iterdir()] == ["board"]
-    assert len(list((folder / "tables").iterdir())) == len(list((folder / "figures").iterdir())) == len(names)
-    assert sorted(path.name for path in folder.iterdir()) == ["README.md", "figures", "published", "site", "tables"]
+    assert len(list((folder / "figures").iterdir())) == len(names)
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "README.md", "figures", "paper", "published.csv", "site", "tables", "tables.json", "tables.tex",
+    ]  # fmt: skip
 
 
 def test_a_hostile_planner_name_stays_text_everywhere(runs: tuple[RunRecord, ...]) -> None:
@@ -204,30 +221,44 @@ def test_a_hostile_planner_name_stays_text_everywhere(runs: tuple[RunRecord, ...
     for section in text.split("###")[1:]:
         lines = [line.replace("\\|", "") for line in section.splitlines() if line.startswith("|")]
         assert len({line.count("|") for line in lines}) == 1
-    for name in ("collision-exact", "transfer-adv-exact"):
-        latex = files[f"tables/fake/{name}.tex"]
-        assert latex.count(r"\end{table}") == 1 and "\n\n" not in latex
-        assert "{[}x]" in latex
+    latex = files["tables.tex"]
+    assert latex.count(r"\end{table}") == latex.count(r"\begin{table}") == len(json.loads(files["tables.json"]))
+    assert "{[}x]" in latex and r"&\end" not in latex
 
 
 def test_a_note_is_said_once_in_the_readme_and_below_every_table_elsewhere(files: dict[str, str]) -> None:
     legend = "† privileged: sees"
     assert files["README.md"].count(legend) == 1
-    assert legend in files["tables/fake/transfer-adv-exact.tex"].replace(r"$\dagger$", "†")
-    assert files["tables/fake/vad.md"].count(legend) > 3
+    assert files["tables.tex"].replace(r"$\dagger$", "†").count(legend) > 3
+
+
+def test_few_files_hold_every_table_and_no_two_protocols_share_a_column(files: dict[str, str]) -> None:
+    tables = json.loads(files["tables.json"])
+    assert len(files) < 30 < len(tables)
+    stacked: dict[tuple[str, str], int] = {}
+    for name in [name for name in files if name.endswith(".csv")]:
+        for row in csv.DictReader(io.StringIO(files[name])):
+            table = row["from data set"], row["from table"]
+            stacked[table] = stacked.get(table, 0) + 1
+            if table[1].startswith("collision-") and table[1] != "collision-native":
+                judge = table[1].removeprefix("collision-")
+                assert all(head.endswith(judge) for head, text in row.items() if text and head.startswith("col. "))
+    assert stacked == {(table["data set"], table["name"]): len(table["rows"]) for table in tables if table["rows"]}
+    collision = next(table for table in tables if table["name"] == "collision-vad")
+    (row, *_) = rows_of(files, "collision-vad")
+    assert row["col. 3s"] == collision["rows"][0][collision["columns"].index("col. 3s")]
 
 
 def test_drives_have_tables_beside_open_loop(
     runs: tuple[RunRecord, ...], files: dict[str, str], tmp_path: Path
 ) -> None:
     beside = build_leaderboard_files(read_results(runs[::-1], drives=driven_beside(runs, tmp_path)))
-    read, page = (beside[name].decode() for name in ("README.md", "tables/fake/closed-loop.md"))
+    read, found = beside["README.md"].decode(), {name: text.decode() for name, text in beside.items()}
     for said in ("## fake: closed loop", "closed loop, engine default, agents replay", "beside open loop"):
         assert said in read
-    assert "tables/fake/closed-loop.md" in read
-    assert "scenes on which open loop and closed loop disagree" in page and "only open" in page
+    assert "tables/loops.csv" in read and "only open" in found["tables/loops.csv"]
     for kind in ("drives", "loops", "loops-scenes"):
-        (row, *_) = csv_rows(beside[f"tables/fake/{kind}-adv-default-replay.csv"].decode())
+        (row, *_) = rows_of(found, f"{kind}-adv-default-replay")
         assert row["planner"].startswith("straight")
     assert {name for name in files if name.startswith("tables")} < set(beside)
 
@@ -238,13 +269,13 @@ def test_drives_alone_make_a_leaderboard_and_go_stale(runs: tuple[RunRecord, ...
     assert find_stale_files(read_results((), drives=driven), folder) == []
     assert b'"closed loop"' in (folder / "site/data/index.js").read_bytes()
     fewer = find_stale_files(read_results(runs[:1]), folder)
-    assert any("drives-adv-default-replay.csv" in one and "no longer produced" in one for one in fewer)
+    assert any("tables/drives.csv" in one and "no longer produced" in one for one in fewer)
     scenes = driven[0].facts.scenes
     hits = [drive_row(scene, end="contact", contact=contact()) for scene in scenes]
     facts = {"data": driven[0].facts.data.model_dump(), "scenes": scenes, "scenes_in_split": len(scenes)}
     changed = [written(tmp_path / "changed", *hits, **facts)]
     stale = find_stale_files(read_results((), drives=changed), folder)
-    assert any("drives-adv-default-replay.csv differs" in one for one in stale)
+    assert any("tables/drives.csv differs" in one for one in stale)
 
 
 def driven_beside(runs: Sequence[RunRecord], folder: Path) -> list[DriveRecord]:

@@ -7,7 +7,7 @@ OFFERS = {
     },
     "judge": {"margin": "challenger_margins.judge:MarginProtocol"},
     "table": {"margins": "challenger_margins.tables:margin_table"},
-    "page": {"margins": "challenger_margins.tables:margin_page"},
+    "page": {"protocols margins": "challenger_margins.tables:margin_page"},
     "planner": {"easing": "challenger_margins.planner:Easing"},
     "renderer": {"outline": "challenger_margins.renderer:OutlineSource"},
     "engine": {"overshoot": "challenger_margins.engine:make_overshoot"},

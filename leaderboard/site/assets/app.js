@@ -53,6 +53,14 @@ const unique = (values) => [...new Set(values)];
 /** @param {number} found @param {number} of @param {string} noun @returns {string} How many of a list are shown. */
 const countLine = (found, of, noun) => `${found === of ? "" : `${found} of `}${of} ${noun}${of === 1 ? "" : "s"}`;
 
+/** @param {string} text @returns {(string|Element)[]} What its abbreviations stand for is said when they are pointed at. */
+function spelled(text) {
+  const { abbreviations } = site();
+  const known = new RegExp(`\\b(${Object.keys(abbreviations).join("|")}|docs/[\\w/.-]+\\.md)\\b`);
+  return text.split(known).map((part, at) => (at % 2 === 0 ? part : own(abbreviations, part)
+    ? element("abbr", { title: abbreviations[part] }, part) : element("code", {}, part)));
+}
+
 /** @param {{light: string, dark: string, alt: string, width?: number|null, height?: number|null}} of For each theme. */
 const picture = ({ light, dark, ...attributes }) => element("img", {
   src: theme() === "dark" ? dark : light, "data-light": light, "data-dark": dark, loading: "lazy", decoding: "async",
@@ -175,8 +183,10 @@ DARK.addEventListener("change", () => keptTheme() ?? showTheme());
 // --- which page --------------------------------------------------------------------------------------------------------
 /** @type {Record<string, PageMaker>} By the first part of the address. */
 const pages = {};
-/** Pages that belong to another one of the menu. */
-const PLACES = { model: "models", scene: "scenes", compare: "scenes", drive: "scenes" };
+/** Tabs of pages that are none themselves. */
+const TAB_OF = { "": "results", model: "planners", scene: "scenes", compare: "scenes", drive: "scenes" };
+/** Pages of earlier sites. */
+const MOVED = { tables: "results", models: "planners", attempts: "generation" };
 let shownPage = /** @type {Page|null} */ (null);
 let shownPath = /** @type {string|null} */ (null);
 let followed = false;
@@ -189,8 +199,23 @@ const errorLine = (sentence) => element("p", { "data-testid": "error", role: "al
 const errorPage = (sentence) => ({
   title: "Not found",
   nodes: [element("h1", {}, "There is nothing here"), errorLine(sentence),
-    element("p", {}, element("a", { href: "#/" }, "To the overview"))],
+    element("p", {}, element("a", { href: "#/" }, "To the results"))],
 });
+
+/** @param {Route} here @returns {Route} Where an address of an earlier site leads now. */
+function moved(here) {
+  const { parts: [name], params } = here;
+  const instead = own(MOVED, name);
+  if (!instead) return here;
+  const { tables, tabs } = site();
+  const sorted = tables.find((table) => params.get("sort")?.endsWith(`.${table.id}`));
+  const group = params.get("group") ?? sorted?.group ?? "";
+  const protocol = /^protocol (.+)$/s.exec(group)?.[1];
+  if (protocol || !tables.some((table) => table.group === group)) params.delete("group");
+  const parts = [own(tabs, group) ?? instead];
+  history.replaceState(null, "", address(parts, changeQuery(params, protocol ? { protocol } : {})));
+  return { parts, params };
+}
 
 /** @returns {Page} */
 function pageOfAddress() {
@@ -198,8 +223,8 @@ function pageOfAddress() {
     return errorPage("data/index.js is missing or damaged; write the site again with challenger-bench leaderboard.");
   }
   try {
-    const here = route(location.hash);
-    const name = here.parts[0] ?? "start";
+    const here = moved(route(location.hash));
+    const name = here.parts[0] ?? "results";
     const page = own(pages, name);
     if (!page) throw new AddressError(`There is no page called “${name}”.`);
     return page(here);
@@ -215,29 +240,35 @@ function show() {
   const main = part("main");
   main.classList.remove("settled");
   const path = location.hash.split("?")[0];
+  const jump = followed;
   const same = path === shownPath;
   const held = same && document.activeElement?.getAttribute("data-testid");
-  const place = same ? scrollY : followed ? 0 : scrolled.get(location.hash) ?? 0;
+  const place = same && !followed ? scrollY : followed ? 0 : scrolled.get(location.hash) ?? 0;
   shownPage?.destroy?.();
   hideNote();
   shownPage = pageOfAddress();
-  main.replaceChildren(...shownPage.nodes.filter((node) => node !== null));
+  const name = /^#\/([^/?]*)/.exec(location.hash)?.[1] ?? "";
+  const tab = own(TAB_OF, name) ?? name;
+  const more = window.CHALLENGER ? site().pages.filter((page) => page.tab === tab) : [];
+  main.replaceChildren(...shownPage.nodes.filter((node) => node !== null), more.length ? element("p", { class: "more" },
+    "Pages of extensions: ", more.map((page, at) => [at ? ", " : "", element("a", { href: page.path }, page.name)])) : "");
   shownPage.ready?.();
   document.title = `${shownPage.title} · ${window.CHALLENGER?.title ?? "challenger-bench"}`;
-  const name = /^#\/([^/?]*)/.exec(location.hash)?.[1] ?? "";
   for (const link of document.querySelectorAll("[data-testid=nav] a")) {
-    link.ariaCurrent = link.getAttribute("href") === `#/${own(PLACES, name) ?? name}` ? "page" : null;
+    link.ariaCurrent = link.getAttribute("href") === `#/${tab === "results" ? "" : tab}` ? "page" : null;
   }
-  scrollTo(0, place);
+  const { target } = shownPage;
+  const settle = () => (target && !place && (jump || !same) ? target.scrollIntoView() : scrollTo(0, place));
+  settle();
   if (shownPath !== null) {
     const again = held ? main.querySelector(`[data-testid="${CSS.escape(held)}"]`) : null;
     (again instanceof HTMLElement ? again : main).focus({ preventScroll: true });
   }
   followed = false;
-  shownPath = path;
+  shownPath = location.hash.split("?")[0];
   requestAnimationFrame(() => setTimeout(() => {
     main.classList.add("settled");
-    if (place) scrollTo(0, place);
+    if (place || target) settle();
     window.CHALLENGER_READY = true;
   }));
 }
@@ -263,11 +294,6 @@ document.addEventListener("DOMContentLoaded", () => {
     event.preventDefault();
     field.focus();
   });
-  if (window.CHALLENGER) {
-    const { models, scenes } = site();
-    part("made").textContent = `${countLine(models.length, models.length, "planner")}, ${
-      countLine(scenes.length, scenes.length, "scene")}. Made from run records by challenger-bench leaderboard.`;
-  }
   history.scrollRestoration = "manual";
   addEventListener("hashchange", show);
   show();

@@ -109,22 +109,35 @@ class Viewer {
   toggle() {
     this.playing = !this.playing;
     if (this.playing && this.frame === this.last) this.frame = this.first;
-    this.playButton.textContent = this.playing ? "❚❚ Stop" : "▶ Play";
     this.tick = null;
+    this.name();
     this.changed();
     if (this.playing) requestAnimationFrame((now) => this.advance(now));
   }
 
+  /** Names the button. @returns {boolean} Whether what is played waits for pictures. */
+  name() {
+    const loading = this.playing && Boolean(this.cameras?.loading());
+    this.playButton.textContent = loading ? "Loading …" : this.playing ? "❚❚ Stop" : "▶ Play";
+    return loading;
+  }
+
   /** @param {number} now Milliseconds; plays by the clock, so that a slow machine leaves frames out. */
   advance(now) {
-    const { frame, last, scene: { frames } } = this;
     if (!this.playing) return;
+    if (this.name()) this.tick = null;
+    else this.step(now);
+    requestAnimationFrame((later) => this.advance(later));
+  }
+
+  /** @param {number} now */
+  step(now) {
+    const { frame, last, scene: { frames } } = this;
     this.tick ??= { now, seconds: frames[frame] };
     const seconds = this.tick.seconds + this.speed * (now - this.tick.now) / 1000;
     while (this.frame < last && frames[this.frame + 1] <= seconds) this.frame += 1;
     if (this.frame !== frame) this.changed();
     if (this.frame === last) this.ended(seconds - frames[last]);
-    requestAnimationFrame((later) => this.advance(later));
   }
 
   /** @param {number} _seconds Since the last frame began. */
@@ -394,8 +407,8 @@ class Player extends Viewer {
     const { name, shown } = model;
     const track = element("div", { class: "cp-track" });
     this.tracks.set(name, track);
-    const fill = () => (this.chosen.includes(name)
-      ? fillTrack(track, this.scene, model, this.protocol, (frame) => this.seek(frame)) : track.replaceChildren());
+    const fill = () => fillTrack(track, this.scene, model, this.protocol, this.chosen.includes(name),
+      (frame) => this.seek(frame));
     const box = checkbox(this.chosen.includes(name), { value: name, "data-testid": "player-model" }, (checked) => {
       this.chosen = this.scene.models.map((each) => each.name)
         .filter((each) => (each === name ? checked : this.chosen.includes(each)));

@@ -36,7 +36,7 @@ class BirdsEye extends GroundView {
     this.drawEgo();
     plans.reverse();
     this.faintly(alpha, () => plans.forEach((each) => this.drawPlan(each)));
-    plans.forEach((each) => this.drawContact(each, age));
+    plans.forEach((each) => this.drawContact(each));
     this.drawEnd();
     this.drawScale();
   }
@@ -94,7 +94,7 @@ class BirdsEye extends GroundView {
   drawEnd() {
     const { contact, frames } = this.scene;
     if (!contact || contact.t - frames[this.state.frame] > FUTURE_S) return;
-    this.announce(contact.x, contact.y, "contact", contact.t - frames[this.state.frame], true);
+    this.announce(contact.x, contact.y, "contact", contact.t, true);
   }
 
   /** Ways of ego and adversaries: thin where they were, thick with a dot each half second where they go. */
@@ -200,8 +200,8 @@ class BirdsEye extends GroundView {
     this.marks(plan.path.subarray(2), style.shape, 5, style.colour);
   }
 
-  /** Where and when a plan first touches something, and with what. @param {Drawn} of @param {number} age */
-  drawContact({ model, plan, style, verdict }, age) {
+  /** Where and when a plan first touches something, and with what. @param {Drawn} of */
+  drawContact({ model, plan, style, verdict }) {
     if (!verdict || verdict.contact === null) return;
     const counts = isBad(verdict);
     const { colours, scene, state } = this;
@@ -222,19 +222,19 @@ class BirdsEye extends GroundView {
     const letters = [...model.name];
     const name = letters.length > NAME_LETTERS ? `${letters.slice(0, NAME_LETTERS - 1).join("")}…` : model.name;
     this.announce((other.x + box.x) / 2, (other.y + box.y) / 2, verdict.mark === "a" ? `${name} another` : name,
-      verdict.contact - age, counts);
+      seconds, counts);
   }
 
   /** A star with what is there and when, inside the canvas and clear of what is written; faint if it does not count.
-   * @param {number} x @param {number} y @param {string} what @param {number} left Seconds. @param {boolean} counts */
-  announce(x, y, what, left, counts) {
+   * @param {number} x @param {number} y @param {string} what @param {number} seconds @param {boolean} counts */
+  announce(x, y, what, seconds, counts) {
     const { context, colours } = this;
     const [across, down] = this.pixel(x, y);
     context.beginPath();
     traceShape(context, "contact", across, down, 10);
     this.paint(counts ? colours.contact : colours.paper);
     this.stroke(counts ? colours.paper : colours.faint, 2);
-    const text = `${what} ${left >= 0.05 ? `in ${left.toFixed(1)} s` : "now"}`;
+    const text = `${what} at ${seconds.toFixed(1)} s`;
     context.font = FONT(LABEL_PX);
     const { width } = context.measureText(text);
     // Where it would leave the canvas it is moved, and up, so that it does not cover what it names.

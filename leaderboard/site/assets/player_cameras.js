@@ -3,6 +3,8 @@
 
 /** Pictures around the present one that are loaded before they are needed. */
 const AROUND = 24;
+/** Pictures from the present one on without which nothing plays. */
+const SOON = 6;
 
 /** Shows the picture in force of all cameras or of one; loads those around it before they are needed. */
 class Cameras {
@@ -63,6 +65,10 @@ class Cameras {
     for (const each of this.images.keys()) if (Math.abs(each - at) > AROUND) this.images.delete(each);
     this.paint();
   }
+
+  /** @returns {boolean} Whether pictures that are shown soon are still loading; a missing one is not waited for. */
+  loading = () => Array.from({ length: SOON }, (_, ahead) => this.images.get(this.at + ahead))
+    .some((image) => image && !image.complete);
 
   /** @param {number} at */
   load(at) {

@@ -39,9 +39,11 @@ function along(node, scene, frame) {
   return node;
 }
 
-/** Marks where plans of one planner collide, and where it failed. @param {HTMLElement} track @param {Scene} scene
- * @param {Planner} model @param {string|null} protocol @param {(frame: number) => void} seek */
-function fillTrack(track, scene, model, protocol, seek) {
+/** Marks where plans of one planner collide, and where it failed; grey where it is not shown.
+ * @param {HTMLElement} track @param {Scene} scene @param {Planner} model @param {string|null} protocol
+ * @param {boolean} shown @param {(frame: number) => void} seek */
+function fillTrack(track, scene, model, protocol, shown, seek) {
+  track.classList.toggle("cp-off", !shown);
   const { name } = model;
   const judge = scene.protocols.indexOf(protocol ?? "");
   // Tab passes the marks by, because there may be hundreds: two buttons and two keys go from one to the next.
@@ -55,8 +57,8 @@ function fillTrack(track, scene, model, protocol, seek) {
     if (model.failed(sample) !== undefined) return mark("?", sample, `${name} failed at ${at}`, "cp-failed", {});
     if (!verdict?.counted || verdict.contact === null) return [];
     const [sign, kind, , , sentence] = site().legend[verdict.mark];
-    const words = `${name}: the plan made at ${at} ${sentence} ${verdict.words} later (${protocol})`;
-    return mark(sign, sample, words, `cp-hit cp-${kind}`, { "data-testid": "player-collision", "data-model": name,
+    const words = `${name}: the plan made at ${at} ${sentence} at ${verdict.words} (${protocol})`;
+    return mark(sign, sample, words, `cp-hit cp-${kind}`, { "data-testid": shown && "player-collision", "data-model": name,
       "data-frame": scene.samples[sample].frame, "data-contact": verdict.contact, "data-mark": verdict.mark });
   }));
 }
@@ -120,7 +122,7 @@ function verdictNodes(scene, models, sample, protocol, compare) {
 
 /** @param {string} caption @param {Planner[]} models @param {Said[][]} rows @param {boolean} both */
 function verdictsTable(caption, models, rows, both) {
-  const groups = [["", 1], ["collides within", 3], ["contact", 1], ["cause", 1], ["L2, metres, at", 3]];
+  const groups = [["", 1], ["collides within", 3], ["contact at", 1], ["cause", 1], ["L2, metres, at", 3]];
   const heads = ["planner", "1 s", "2 s", "3 s", "", "", "1 s", "2 s", "3 s"];
   // Distances always differ.
   const differs = heads.map((_, column) => both && column > 0 && column < 6

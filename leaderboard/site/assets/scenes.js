@@ -39,8 +39,6 @@ const countPlace = (testid) => element("p", { class: "count", "data-testid": tes
 /** @param {SceneData} scene @param {string} protocol @param {string|null} [model] Whose plans its page starts with. */
 function sceneCard(scene, protocol, model) {
   const href = address(["scene", scene.key], { model });
-  const severe = own(scene.severe, model || "");
-  const said = [...scene.judged, ...(severe ? [["", severe[1], severe[2]]] : [])];
   // One mark a planner, in the order of the tables: shape and words, never colour alone.
   const marks = site().models.flatMap(({ name }) => {
     const mark = own(own(scene.marks, name), protocol);
@@ -57,8 +55,9 @@ function sceneCard(scene, protocol, model) {
       element("span", { class: "tags" }, [scene.split, scene.manoeuvre].filter(Boolean).map((tag) =>
         element("span", { class: "tag" }, tag))),
       element("span", { class: "verdict" }, own(scene.tally, protocol) ?? "not judged", own(scene.samples, model)?.[1]),
-      said.length ? element("span", { class: "judged", "data-testid": "judged" }, said.map(([kind, words, title], at) =>
-        [at ? " · " : "", element("span", { class: kind || null, title: title || null }, words)])) : null,
+      scene.judged.length ? element("span", { class: "judged", "data-testid": "judged" },
+        scene.judged.map(([kind, words, title], at) =>
+          [at ? " · " : "", element("span", { class: kind || null, title: title || null }, words)])) : null,
       element("span", { class: "marks", "aria-hidden": "true" }, marks)));
 }
 
@@ -67,14 +66,6 @@ function sceneFits(scene, name, value, protocol) {
   if (name === "fails") return kindOf(scene, value, protocol) === "bad";
   if (name === "passes") return ["good", "other"].includes(kindOf(scene, value, protocol) ?? "");
   return Array.isArray(scene[name]) ? scene[name].includes(value) : scene[name] === value;
-}
-
-/** @param {SceneData} scene @param {string} order @param {string} protocol @param {string|null} model Least first. */
-function sortKey(scene, order, protocol, model) {
-  const [bad, split] = own(scene.counts, protocol) ?? [0, 0];
-  const severe = -(own(scene.severe, model || "")?.[0] || -Number.MAX_VALUE);
-  const keys = { name: 0, hardest: -bad, easiest: bad, split: -split, severe, ...scene.order };
-  return own(keys, order) ?? Number.MAX_VALUE;
 }
 
 pages.scenes = (here) => {
@@ -87,10 +78,14 @@ pages.scenes = (here) => {
   function refresh() {
     const [order, model] = [asked(here, "sort", sceneOrders.map(([name]) => name)), here.params.get("fails")];
     const matches = matcher(here.params.get("q"));
-    const found = list.fitting(scenes).filter((scene) => matches(scene.text))
-      .map((scene) => ({ scene, key: sortKey(scene, order, protocol(), model) })).sort((a, b) => a.key - b.key);
+    /** @param {SceneData} scene @returns {number} Least first. */
+    const key = ({ counts, order: known }) => {
+      const [bad, split] = own(counts, protocol()) ?? [0, 0];
+      return own({ name: 0, hardest: -bad, easiest: bad, split: -split, ...known }, order) ?? Number.MAX_VALUE;
+    };
+    const found = list.fitting(scenes).filter((scene) => matches(scene.text)).sort((a, b) => key(a) - key(b));
     count.textContent = countLine(found.length, scenes.length, "scene");
-    cards.replaceChildren(...found.map(({ scene }) => sceneCard(scene, protocol(), model)));
+    cards.replaceChildren(...found.map((scene) => sceneCard(scene, protocol(), model)));
   }
   asked(here, "protocol", protocols);
   refresh();
@@ -113,7 +108,7 @@ pages.scenes = (here) => {
 };
 
 // --- what the search tried ---------------------------------------------------------------------------------------------
-pages.attempts = (here) => {
+pages.generation = (here) => {
   const { attempts, attemptFilters, attemptTally, scenes } = site();
   const place = element("div");
   const known = new Set(scenes.map((scene) => scene.key));
@@ -124,10 +119,6 @@ pages.attempts = (here) => {
     const matches = matcher(here.params.get("q"));
     const found = list.fitting(attempts).filter((attempt) => matches(Object.values(attempt).join(" ").toLowerCase()));
     count.textContent = countLine(found.length, attempts.length, "attempt");
-    place.replaceChildren(attemptTable(found));
-  }
-  /** @param {Record<string, string>[]} found @returns {HTMLElement} */
-  function attemptTable(found) {
     const shown = found.slice(0, ATTEMPTS_SHOWN);
     const { node } = tableView({
       id: "attempts", title: "Attempts", textColumns: 6, groups: [], cells: null,
@@ -140,24 +131,20 @@ pages.attempts = (here) => {
       const { key, scene } = shown[at];
       if (known.has(key)) row.lastElementChild?.replaceChildren(element("a", { href: address(["scene", key]) }, scene));
     });
-    return node;
+    place.replaceChildren(node);
   }
   refresh();
-  return {
-    title: "Attempts",
-    nodes: [
-      element("h1", {}, "What the search tried"),
-      element("p", { class: "lead" }, "A vehicle is tried as the adversary, and kept only if the scene is physically ",
-        "sound, solvable and hard enough. This is what became of each."),
-      ...(attempts.length ? [
-        element("dl", { class: "tally" }, attemptTally.map(([reason, value]) => [
-          element("dt", {}, element("a", { href: address(["attempts"], { reason }) }, reason)),
-          element("dd", {}, element("progress", { max: attemptTally[0][1], value, "aria-hidden": "true" }), value)])),
-        element("div", { class: "toolbar" }, filterField(here, "Attempts with", refresh), list.controls), count, place,
-      ] : [element("p", { class: "remark" }, "Nothing is known of a search: the sheets of generated splits say it (",
-        element("code", {}, "challenger-bench sheets --split adv"), "), then write the leaderboard again.")]),
-    ],
-  };
+  const every = element("h2", {}, "Every attempt");
+  return tabPage(here, {
+    tab: "generation", title: "Generation", also: refresh, target: here.params.get("reason") ? every : undefined,
+    lead: "A vehicle is tried as the adversary, and kept only if the scene is physically sound, solvable and hard enough.",
+    first: attempts.length ? [element("dl", { class: "tally" }, attemptTally.map(([reason, value]) => [
+      element("dt", {}, element("a", { href: address(["generation"], { reason }) }, reason)),
+      element("dd", {}, element("progress", { max: attemptTally[0][1], value, "aria-hidden": "true" }), value)]))]
+      : [element("p", { class: "remark" }, "Nothing is known of a search: the sheets of generated splits say it (",
+        element("code", {}, "challenger-bench sheets --split adv"), "), then write the leaderboard again.")],
+    last: attempts.length ? [every, element("div", { class: "toolbar" }, list.controls), count, place] : [],
+  });
 };
 
 // --- one scene ---------------------------------------------------------------------------------------------------------
@@ -176,7 +163,8 @@ function sceneFacts(scene) {
       return node;
     });
     const terms = facts.map(([term, lines]) => [element("dt", {}, term), element("dd", {}, lines.map((parts) =>
-      element("div", {}, parts.map((each) => (Array.isArray(each) ? element("a", { href: each[1] }, each[0]) : each)))))]);
+      element("div", {}, parts.map((each) =>
+        (Array.isArray(each) ? element("a", { href: each[1] }, spelled(each[0])) : spelled(each))))))]);
     place.replaceChildren(...views.slice(0, 1), element("dl", { class: "facts" }, terms), ...views.slice(1));
   }).catch(() => {});  // The player says why there is no script.
   return place;

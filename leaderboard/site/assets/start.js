@@ -1,5 +1,5 @@
 "use strict";
-/* The first page: what this is, a scene that plays, the table that matters, a figure, and where to go on. */
+/* The first page: the table that matters, a scene that plays, and all other results. */
 
 const AFTER_S = 1.4, REST_S = 1.2, EXTENT_M = 22;
 const STILL = matchMedia("(prefers-reduced-motion: reduce)");
@@ -8,8 +8,8 @@ const STILL = matchMedia("(prefers-reduced-motion: reduce)");
 class Showing extends Viewer {
   time = element("output", { class: "showing-time" });
 
-  /** @param {HTMLElement} place @param {Scene} scene */
-  constructor(place, scene) {
+  /** @param {HTMLElement} place @param {Scene} scene @param {[string, string]|null} compare What compares two planners. */
+  constructor(place, scene, compare) {
     super(place, scene, scene.protocols[0] ?? null);
     this.chosen = scene.shown[0] ?? [];
     const models = this.shown();
@@ -24,7 +24,8 @@ class Showing extends Viewer {
       kindLegend(scene, ["ego", "adversary"]),
       element("ul", { class: "showing-planners" }, planners),
       element("p", { class: "showing-do" }, this.playButton, this.time, element("a", { class: "button",
-        href: address(["scene", scene.key], { model: this.chosen }) }, "All of this scene")),
+        href: address(["scene", scene.key], { model: this.chosen }) }, "All of this scene"),
+      compare && element("a", { href: compare[0] }, compare[1])),
       element("p", { class: "quiet showing-name" },
         [scene.scene, scene.manoeuvre, scene.description].filter(Boolean).join(" · ")));
     place.replaceChildren(element("div", { class: "showing-stage" },
@@ -50,35 +51,29 @@ class Showing extends Viewer {
   }
 }
 
-pages.start = (here) => {
-  const { figures, keyTables, scenes, starts } = site();
+pages.results = (here) => {
+  const { mainTables, scenes, starts } = site();
   const data = asked(here, "data", starts.map((each) => each.data));
   const start = starts.find((each) => each.data === data);
   const stage = element("section", { class: "showing", "data-testid": "showing", "aria-label": "A scene that plays" });
   let showing = /** @type {{destroy: () => void}|null} */ (null);
-  const key = keyTables.find((table) => table.data === data);
-  const mine = figures.filter((figure) => figure.data === data);
-  const figure = mine.find((each) => each.title.startsWith("Collision rate over the horizon")) ?? mine[0];
-  return {
-    title: "Overview",
-    nodes: [
-      element("h1", {}, "Driving planners against an adversary"),
-      element("p", { class: "lead wide" }, start?.lead),
-      pageChoice(here, "Data set", "data", starts.map((each) => each.data)),
-      start?.scene ? stage : (scenes.length ? element("p", { class: "remark" }, "No scene has a sheet yet, so that none plays "
-        + "here: ", element("code", {}, "challenger-bench sheets --split adv"), " makes them; then write the leaderboard "
-        + "again.") : null),
-      element("div", { class: "essence" },
-        key ? tableView(key).node : element("p", { class: "quiet" }, "Protocol exact has judged nothing here yet."),
-        figure ? figureView(figure) : null),
-      element("nav", { class: "onwards", "aria-label": "Where to go on", "data-testid": "onwards" },
-        (start?.onwards ?? []).map(([href, title, words]) => element("a", { href },
-          element("strong", {}, title), element("span", {}, words)))),
+  const main = mainTables.find((table) => table.data === data);
+  const page = tabPage(here, {
+    tab: "results", title: "Driving planners against an adversary", lead: start?.lead ?? "",
+    first: [
+      element("p", { class: "splits" }, start?.splits),
+      main ? tableView(main).node : element("p", { class: "quiet" }, "Protocol exact has judged nothing here yet."),
+      start?.scene ? stage : scenes.length ? element("p", { class: "remark" }, "No scene has a sheet yet, so that none "
+        + "plays here: ", element("code", {}, "challenger-bench sheets --split adv"), " makes them; then write the "
+        + "leaderboard again.") : null,
     ],
+  });
+  return {
+    ...page,
     ready() {
       // Without the scene's script there is nothing to show.
       if (!start?.scene) return;
-      showing = playIn(stage, start.scene, (scene) => new Showing(stage, scene), () => stage.remove());
+      showing = playIn(stage, start.scene, (scene) => new Showing(stage, scene, start.compare), () => stage.remove());
     },
     destroy: () => showing?.destroy(),
   };

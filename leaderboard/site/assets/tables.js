@@ -1,9 +1,8 @@
 "use strict";
-/* Tables that can be sorted and filtered, and the page of all tables. */
+/* Tables that can be sorted and filtered, and the tabs that are made of them. */
 
 /** Letters above which a cell, or a column's head, may be broken into lines. */
 const LONG = 28, SHORT = 11;
-const FIGURES = "figures";
 /** Tables by place, light ...: one kind at a time, all of its slices or one; the kind is named by a column. */
 const SLICES = "slices", KIND = 2, EVERY = "all";
 const STEPS_OF = { ArrowLeft: -1, ArrowRight: 1, ArrowUp: -1, ArrowDown: 1 };
@@ -75,7 +74,7 @@ function listenToCells(body, known) {
 function neighbour(cell, key) {
   const [step, row, body] = [own(STEPS_OF, key), cell.closest("tr"), cell.closest("tbody")];
   if (!step || !row || !body) return undefined;
-  const column = [...body.rows].filter((each) => !each.hidden).map((each) => each.cells[cell.cellIndex]);
+  const column = [...body.rows].filter((each) => !each.hidden && each.cells.length > 1).map((each) => each.cells[cell.cellIndex]);
   const numbers = (/Left|Right/.test(key) ? [...row.cells] : column).filter((each) => each.dataset.facts !== undefined);
   return numbers[numbers.indexOf(cell) + step];
 }
@@ -91,7 +90,8 @@ function numberIn(text) {
   return found ? Number(found[0]) : null;
 }
 
-/** @param {TableData} table @param {number} column @param {boolean} descending Dashes are last. */
+/** @param {TableData} table @param {number} column @param {boolean} descending Dashes are last, rows that
+ * stand apart behind all others. */
 function ordered(table, column, descending) {
   const collator = new Intl.Collator("en", { numeric: true });
   const keys = table.rows.map((row) => {
@@ -100,6 +100,8 @@ function ordered(table, column, descending) {
   });
   return table.rows.map((_, index) => index).sort((a, b) => {
     const [one, other] = [keys[a], keys[b]];
+    const part = Number(a >= (table.apart ?? Infinity)) - Number(b >= (table.apart ?? Infinity));
+    if (part) return part;
     if (one === null || other === null) return Number(one === null) - Number(other === null) || a - b;
     const sign = typeof one === "number" && typeof other === "number" ? Math.sign(one - other) || 0
       : collator.compare(String(one), String(other));
@@ -135,7 +137,7 @@ function tableBody(table, link) {
       const long = text.length > LONG ? "long" : null;
       if (column === 0) return element("th", { scope: "row", class: long }, cellContent(table, row, column, link));
       const kind = classes(column < table.textColumns ? "text" : text === UNDEFINED && "undefined",
-        edges.has(column) && "edge", long);
+        edges.has(column) && "edge", long, table.heat?.[index][column]);
       const facts = table.cells?.[index][column];
       if (!facts) return element("td", { class: kind }, cellContent(table, row, column, link));
       const number = known.push(facts) - 1;
@@ -146,30 +148,49 @@ function tableBody(table, link) {
   return body;
 }
 
-/** @param {TableData} table @returns {HTMLElement} Its title, and links to its files. */
-function tableHead(table) {
-  return element("div", { class: "table-head" }, element("h3", { id: `title-${table.id}` }, table.title),
-    element("span", { class: "files" }, Object.entries(table.files ?? {}).sort().map(([kind, path]) => element("a",
-      { href: path, download: "", "aria-label": `${kind.toUpperCase()} of: ${table.title}` },
-      kind === "tex" ? "TeX" : kind.toUpperCase()))));
+/** @param {TableData} table @returns {string} Its rows as CSV, heads with their groups. */
+function csvOf({ columns, groups, rows }) {
+  const labels = groups.flatMap(([label, span]) => Array(span).fill(label));
+  const heads = columns.map((name, at) => (labels[at] ? `${name} | ${labels[at]}` : name));
+  /** @param {string} text */
+  const quoted = (text) => (/[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text === UNDEFINED ? "" : text);
+  return [heads, ...rows].map((row) => `${row.map(quoted).join(",")}\n`).join("");
 }
 
-/** A table with its title, files and notes. @param {TableData} table @param {{notes?: string[], here?: Route, link?:
+/** @param {TableData} table @returns {HTMLElement} Its title, and a link to its rows as a file. */
+function tableHead(table) {
+  const file = element("a", { href: "data:text/csv,", download: `${table.id}.csv`, "aria-label": `CSV of: ${table.title}`,
+    onclick: () => { file.href = `data:text/csv;charset=utf-8,${encodeURIComponent(csvOf(table))}`; } }, "CSV");
+  return element("div", { class: "table-head" }, element("h3", { id: `title-${table.id}` }, spelled(table.title)),
+    element("span", { class: "files" }, file));
+}
+
+/** A table with its title and notes. @param {TableData} table @param {{notes?: string[], here?: Route, link?:
  * string}} [state] The page whose address holds the order, as `column.asc.id`; test id of its planners. */
 function tableView(table, { notes = table.notes, here, link } = {}) {
   const body = tableBody(table, link);
   const rows = [...body.rows];
   const edges = groupEdges(table);
   const heads = table.columns.map((name, column) => element("th", {
-    scope: "col", "aria-sort": "none",
+    scope: "col", "aria-sort": column === table.sorted ? "ascending" : "none",
     class: classes(column < table.textColumns && "text", edges.has(column) && "edge", name.length > SHORT && "long"),
-  }, element("button", { type: "button", onclick: () => turn(column) }, name)));
+  }, element("button", { type: "button", onclick: () => turn(column) }, spelled(name))));
+
+  const apart = table.apart ?? 0;
+  const label = apart > 0 && apart < rows.length ? [element("tr", { class: "apart" }, element("th",
+    { scope: "colgroup", colspan: heads.length }, "Baselines: what the numbers are read against"))] : [];
+
+  /** @param {number[]} order Of its rows. */
+  function place(order) {
+    const placed = order.map((index) => rows[index]);
+    body.append(...placed.slice(0, apart), ...label, ...placed.slice(apart));
+  }
 
   /** @param {number|null} column @param {boolean} descending */
   function arrange(column, descending) {
     heads.forEach((head, index) => head.setAttribute("aria-sort",
       index !== column ? "none" : descending ? "descending" : "ascending"));
-    body.append(...(column === null ? rows : ordered(table, column, descending).map((index) => rows[index])));
+    place(column === null ? [...rows.keys()] : ordered(table, column, descending));
   }
 
   /** First click: up; second: down; third: as it came. @param {number} column */
@@ -180,10 +201,12 @@ function tableView(table, { notes = table.notes, here, link } = {}) {
     if (here) remember(here, { sort: next && `${next}.${table.id}` });
   }
 
+  place([...rows.keys()]);
   const sort = /^(\d+)\.(asc|desc)\.(.*)$/s.exec(here?.params.get("sort") ?? "");
   if (sort && sort[3] === table.id && Number(sort[1]) < heads.length) arrange(Number(sort[1]), sort[2] === "desc");
   const groups = table.groups.some(([label]) => label) ? element("tr", { class: "groups" }, table.groups.map(
-    ([label, span]) => element(label ? "th" : "td", { colspan: span, scope: label ? "colgroup" : null, class: "edge" }, label),
+    ([label, span]) => element(label ? "th" : "td", { colspan: span, scope: label ? "colgroup" : null, class: "edge" },
+      spelled(label)),
   )) : null;
   const nothing = element("p", { class: "quiet", hidden: true }, "No row matches the filter.");
   const node = element("section", { class: "table-section", id: `section-${table.id}` },
@@ -192,20 +215,21 @@ function tableView(table, { notes = table.notes, here, link } = {}) {
       element("table", { "data-testid": `table-${table.id}`, "aria-labelledby": `title-${table.id}` },
         element("thead", {}, groups, element("tr", {}, heads)), body)),
     nothing,
-    notes.length ? element("ul", { class: "notes" }, notes.map((sentence) => element("li", {}, sentence))) : null);
+    notes.length ? element("ul", { class: "notes" }, notes.map((sentence) => element("li", {}, spelled(sentence)))) : null);
   return {
     node,
     /** @param {RowFilter} fits */
     filter(fits) {
-      table.rows.forEach((row, index) => { rows[index].hidden = !fits(row.join(" ").toLowerCase(), row); });
+      table.rows.forEach((row, index) => { rows[index].hidden = !fits(row.join(" ").toLowerCase(), row, table); });
       nothing.hidden = rows.some((row) => !row.hidden);
     },
   };
 }
 
-/** Several tables below each other, a note that stands above not said again, and a field that filters their rows.
- * @param {TableData[]} tables @param {Route} here @param {{link?: string, fits?: (row: string[]) => boolean}} [of]
- * Test id of planners; rows that are shown at all. @returns {{nodes: HTMLElement[], field: HTMLElement}} */
+/** Several tables below each other, a note that stands above not said again, and what filters their rows.
+ * @param {TableData[]} tables @param {Route} here
+ * @param {{link?: string, fits?: (row: string[], table: TableData) => boolean}} [of] Test id of planners; rows that are
+ * shown at all. @returns {{nodes: HTMLElement[], filter: (text: string|null) => void}} */
 function tableViews(tables, here, { link, fits = () => true } = {}) {
   const said = new Set();
   const views = tables.map((table) => {
@@ -215,52 +239,64 @@ function tableViews(tables, here, { link, fits = () => true } = {}) {
   /** @param {string|null} text */
   const filter = (text) => {
     const matches = matcher(text);
-    views.forEach((view) => view.filter((words, row) => matches(words) && fits(row)));
+    views.forEach((view) => view.filter((words, row, table) => matches(words) && fits(row, table)));
   };
   filter(here.params.get("q"));
-  return { nodes: views.map((view) => view.node), field: filterField(here, "Rows with", filter) };
+  return { nodes: views.map((view) => view.node), filter };
 }
 
-/** @param {TableData} table @param {(row: string[], at: number) => boolean} fits @returns {TableData} Some of its rows. */
-function rowsOf(table, fits) {
-  const { rows, cells } = table;
-  return { ...table, rows: rows.filter(fits), cells: cells && cells.filter((_, at) => fits(rows[at], at)) };
-}
-
-// --- all tables --------------------------------------------------------------------------------------------------------
-pages.tables = (here) => {
-  const { tables, figures } = site();
-  const names = unique(tables.map((table) => table.data ?? "").filter(Boolean));
+// --- tabs of tables ----------------------------------------------------------------------------------------------------
+/** A tab: what stands first, its figures, its tables below their groups, what stands last.
+ * @param {Route} here @param {TabOptions} options @returns {Page} */
+function tabPage(here, options) {
+  const { tables, figures, starts, tabs } = site();
+  const { tab, title, lead, first = [], last = [], choices = [], link, also } = options;
+  const { fits = ({ group }) => own(tabs, group) === tab } = options;
+  const names = unique([...starts, ...tables].map(({ data }) => data ?? "").filter(Boolean));
   const data = asked(here, "data", names);
-  const mine = tables.filter((table) => table.data === data || table.data === "");
-  const drawings = figures.filter((figure) => figure.data === data);
-  const groups = [...unique(mine.map((table) => table.group ?? "")), ...(drawings.length ? [FIGURES] : [])];
-  const sorted = mine.find((table) => here.params.get("sort")?.endsWith(`.${table.id}`));
-  const group = here.params.has("group") ? asked(here, "group", groups) : sorted?.group ?? groups[0];
-  const ofGroup = mine.filter((table) => table.group === group);
-  const sliced = group === SLICES ? slicesOf(ofGroup, here) : { tables: ofGroup, choices: [], fits: undefined };
-  const { nodes, field } = tableViews(sliced.tables, here, sliced);
+  const mine = tables.filter((table) => [data, ""].includes(table.data ?? "") && fits(table));
+  const groups = unique(mine.map((table) => table.group ?? "")).sort((a, b) => Number(/^protocol /.test(b)) - Number(/^protocol /.test(a)));
+  const wanted = asked(here, "group", ["", ...groups]);
+  const sliced = slicesOf(mine.filter((table) => table.group === SLICES), here);
+  const shown = mine.filter((table) => table.group !== SLICES || sliced.tables.includes(table));
+  const { nodes, filter } = tableViews(shown, here,
+    { link, fits: (row, { group }) => group !== SLICES || sliced.fits(row) });
+  const heads = new Map(groups.map((group) => [group, element("h2", {}, group.charAt(0).toUpperCase() + group.slice(1))]));
+  const drawings = figures.filter((figure) => figure.data === data && figure.tab === tab);
+  const kept = Object.fromEntries(["data", "protocol", "q"].map((name) => [name, here.params.get(name)]));
   return {
-    title: "Tables",
+    title,
+    target: heads.get(wanted) ?? options.target,
     nodes: [
-      element("h1", {}, "Tables"),
-      element("p", { class: "lead" }, "Every number stands under the protocol that judged it; two protocols never ",
-        "share a column. Point at a number, tap it or go to it with the arrow keys: it says its sample count, 95 % ",
-        "interval and record."),
-      element("div", { class: "toolbar" }, pageChoice(here, "Data set", "data", names), sliced.choices, field),
-      element("div", { class: "tabs", role: "navigation", "aria-label": "Groups of tables" }, groups.map((each) =>
-        element("a", {
-          href: address(["tables"], { data: names.length > 1 ? data : null, group: each, q: here.params.get("q") }),
-          "aria-current": each === group ? "true" : null,
-        }, each))),
-      ...nodes,
-      group === FIGURES ? element("section", { class: "figures" }, drawings.map(figureView)) : null,
+      element("h1", {}, title), element("p", { class: "lead" }, lead), ...first,
+      element("div", { class: "toolbar" }, pageChoice(here, "Data set", "data", names), choices,
+        filterField(here, "Rows with", (text) => { filter(text); also?.(); })),
+      groups.length > 1 ? element("nav", { class: "contents", "aria-label": "On this page" }, "On this page: ",
+        groups.map((group) => element("a", { href: address([tab], { ...kept, group }) }, group))) : null,
+      drawings.length ? element("section", { class: "figures" }, drawings.map(figureView)) : null,
+      ...groups.flatMap((group) => [heads.get(group) ?? null,
+        group === SLICES ? element("div", { class: "toolbar" }, sliced.choices) : null,
+        ...nodes.filter((_, at) => shown[at].group === group)]),
+      mine.length ? null : element("p", { class: "quiet" }, "The records have no tables for this page."),
+      ...last,
     ],
   };
+}
+
+pages.transfer = (here) => tabPage(here, { tab: "transfer", title: "Transfer",
+  lead: "Who else fails the scenes that a planner fails, and how far any two of them are apart." });
+
+pages.protocols = (here) => {
+  const names = unique(site().tables.flatMap(({ group }) => /^protocol (.+)$/s.exec(group ?? "")?.[1] ?? []));
+  const shown = [`protocol ${asked(here, "protocol", names)}`, "protocols against exact"];
+  return tabPage(here, { tab: "protocols", title: "Protocols", choices: [pageChoice(here, "Protocol", "protocol", names)],
+    lead: "The same plans under other protocols. Two protocols never share a column; exact and each planner's own "
+      + "protocol are among the results.", fits: ({ group }) => shown.includes(group ?? "") });
 };
 
 /** Of slices one kind, and all of its slices or one. @param {TableData[]} tables Of the group. @param {Route} here */
 function slicesOf(tables, here) {
+  if (!tables.length) return { tables, fits: () => true, choices: [] };
   const kinds = unique(tables.map((table) => table.columns[KIND]));
   const by = asked(here, "by", kinds);
   const shown = tables.filter((table) => table.columns[KIND] === by);

@@ -46,6 +46,6 @@ def test_same_bytes_and_its_place_in_the_leaderboard(tmp_path: Path) -> None:
     (figure,) = pressure_figures(made)
     assert (figure,) == pressure_figures(made)
     assert not pressure_figures(made[:1])
-    files = build_leaderboard_files(read_results([], drives=made))
+    files = build_leaderboard_files(read_results([], drives=made), figures=True)
     (name,) = [name for name in files if name.endswith("drives-pressure.png")]
-    assert files[name] == figure.png and f"({name})" in files["README.md"].decode()
+    assert files[name] == figure.png and f"({name.replace('.png', '.svg')})" in files["README.md"].decode()

@@ -17,6 +17,7 @@ from leaderboard.frame.specification import group_by_data_set
 from leaderboard.paper.appendix import hyper_parameter_tables, paper_data_set_tables, paper_runtime_tables
 from leaderboard.paper.document import PREAMBLE, paper_table_1
 from leaderboard.paper.runtime_chart import compute_runtime_shares, runtime_charts
+from tests.leaderboard.csv_rows import csv_rows
 from tests.leaderboard.made_up import sheets_of, split_sheet, study
 from tests.leaderboard.paper.papers import AS_PRINTED, OWN, paper_runs, paper_sheets
 
@@ -105,12 +106,13 @@ def test_the_chart_shows_shares_that_are_a_whole() -> None:
 
 
 def test_a_leaderboard_has_them_all_and_one_document(written: Path) -> None:
-    folder = written / "tables" / "d"
-    wanted = ("paper-table-1", "paper-hyper-parameters", "paper-runtime-adv", "paper-data-set")
-    for name in wanted:
-        assert all((folder / f"{name}{suffix}").is_file() for suffix in (".tex", ".csv", ".json"))
+    folder, wanted = written / "paper" / "d", ("table-1", "hyper-parameters", "runtime-adv", "data-set")
     document = (folder / "paper.tex").read_text()
-    assert all((folder / f"{name}.tex").read_text() in document for name in wanted)
+    every = [text for text in (written / "tables.tex").read_text().split("\n\n") if "label{tab:paper-" in text]
+    assert len(every) == len(wanted) and all(text.strip() in document for text in every)
+    assert {f"paper-{name}" for name in wanted} == {
+        row["from table"] for row in csv_rows((written / "tables" / "paper.csv").read_text())
+    }
     assert "{paper-runtime-0.png}" in document and (folder / "paper-runtime-0.png").is_file()
     assert "the paper's layout" in (written / "README.md").read_text()
 
@@ -147,15 +149,14 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_latex_sets_the_paper_s_tables_within_the_page(written: Path) -> None:
-    said = compiled(written / "tables" / "d", "paper.tex")
+    said = compiled(written / "paper" / "d", "paper.tex")
     assert "Overfull" not in said
 
 
 def test_latex_sets_every_table_of_a_leaderboard(written: Path) -> None:
-    tables = sorted((written / "tables" / "d").glob("*.tex"))
-    texts = [path.read_text() for path in tables if path.name != "paper.tex"]
-    assert len(texts) > 10
-    document = "\n".join([PREAMBLE, r"\begin{document}", "\n\\clearpage\n".join(texts), r"\end{document}", ""])
+    text = (written / "tables.tex").read_text().replace(r"\end{table}", "\\end{table}\n\\clearpage")
+    assert text.count(r"\clearpage") > 10
+    document = "\n".join([PREAMBLE, r"\begin{document}", text, r"\end{document}", ""])
     (written / "all.tex").write_text(document)
     compiled(written, "all.tex")
     assert set(OWN) <= set(re.findall(r"[a-z-]+", document))

@@ -1,6 +1,7 @@
 """What tests read from pages, and what the records say that pages should show."""
 
 import re
+from dataclasses import replace
 from urllib.parse import parse_qs, quote
 
 from benchmark.machine.storage import content_key
@@ -28,6 +29,16 @@ def scene_route(site: Site, scene: str, query: str = "") -> str:
 def record_of(site: Site, planner: str, split: str) -> RunRecord:
     """Record of a planner on a split."""
     return next(record for record in site.records if record.run.planner.name == planner and record.run.split == split)
+
+
+def with_baseline(site: Site) -> list[RunRecord]:
+    """The records, the first planner a baseline by another name."""
+    records = []
+    for record in site.records:
+        name = "stop" if record.planner == site.made.planners[0] else record.planner
+        planner = record.run.planner.model_copy(update={"name": name})
+        records.append(replace(record, run=record.run.model_copy(update={"planner": planner})))
+    return records
 
 
 def failing(site: Site, planner: str, split: str = "adv", protocol: str = "exact") -> set[str]:

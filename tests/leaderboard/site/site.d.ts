@@ -7,6 +7,8 @@ interface Route {
 interface Page {
   title: string;
   nodes: (Node | string | null)[];
+  /** What an address asks to be scrolled to. */
+  target?: Element;
   ready?: () => void;
   destroy?: () => void;
 }
@@ -14,7 +16,20 @@ type PageMaker = (here: Route) => Page;
 /** Values, or values with what is shown. */
 type Choices = (string | [string, string])[];
 /** By the text of a row and its cells. */
-type RowFilter = (text: string, row: string[]) => boolean;
+type RowFilter = (text: string, row: string[], table: TableData) => boolean;
+/** `fits` chooses other tables than those of the tab, `also` filters what stands beside them. */
+interface TabOptions {
+  tab: string;
+  title: string;
+  lead: string;
+  link?: string;
+  target?: Element;
+  first?: Page["nodes"];
+  last?: Page["nodes"];
+  choices?: (Node | null)[];
+  fits?: (table: TableData) => boolean;
+  also?: () => void;
+}
 
 /** Facts behind a number; `record` is a place among the origins of the index. */
 interface CellFacts {
@@ -32,15 +47,19 @@ interface TableData {
   groups: [string, number][];
   cells: (CellFacts | null)[][] | null;
   notes: string[];
-  files?: Record<string, string>;
+  /** Classes of shaded cells. */
+  heat?: (string | null)[][] | null;
+  /** First row that stands apart, and the column by which rows are ordered. */
+  apart?: number;
+  sorted?: number | null;
   data?: string;
   group?: string;
   judge?: string | null;
-  chart?: number[];
   ofPlanner?: boolean;
 }
 interface FigureData {
   data: string;
+  tab: string;
   title: string;
   path: string;
   dark: string;
@@ -72,7 +91,6 @@ interface SceneData {
   counts: Record<string, [number, number]>;
   samples: Record<string, [number, string]>;
   judged: [string, string, string][];
-  severe?: Record<string, [number, string, string]>;
   order: Record<string, number>;
   pair: string[];
 }
@@ -94,9 +112,14 @@ interface SiteIndex {
   title: string;
   /** By mark: sign, kind, words on a scene, on one plan, in a sentence. */
   legend: Record<string, [string, string, string, string, string]>;
+  abbreviations: Record<string, string>;
   protocols: string[];
   tables: TableData[];
-  keyTables: TableData[];
+  /** Tab by group of tables, those of earlier sites among them. */
+  tabs: Record<string, string>;
+  mainTables: TableData[];
+  /** Of extensions. */
+  pages: { tab: string; name: string; path: string }[];
   figures: FigureData[];
   models: ModelData[];
   scenes: SceneData[];
@@ -106,7 +129,7 @@ interface SiteIndex {
   drives: DriveData[];
   sceneFilters: Filter[];
   sceneOrders: [string, string][];
-  starts: { data: string; lead: string; scene: string | null; onwards: [string, string, string][] }[];
+  starts: { data: string; lead: string; splits: string; scene: string | null; compare: [string, string] | null }[];
   origins: number[][];
   words: string[];
 }

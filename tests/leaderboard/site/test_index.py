@@ -13,10 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from adapters.models import baselines
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, write_bytes
 from benchmark.metrics.attacks import collect_scene_attacks, has_adversaries, select_counted_rows
-from benchmark.metrics.effect import AT_3_S, compute_effect, find_first_contacts, find_touched_scenes
+from benchmark.metrics.effect import find_first_contacts, find_touched_scenes
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import SceneFacts
 from benchmark.records.scene_assessment import DRIVER_NAMES
@@ -25,15 +26,20 @@ from benchmark.report.palette import ADVERSARY, PLANNERS_ON_DARK, PLANNERS_ON_LI
 from benchmark.report.table import Table
 from leaderboard.build import find_stale_files, write_leaderboard
 from leaderboard.frame.results import LeaderboardResults, read_results
+from leaderboard.frame.rows import BASELINES
 from leaderboard.frame.runs import DataSetRuns
-from leaderboard.site.index_data import PlacedTable, build_index, build_key_table
-from leaderboard.site.packing import encode_script
+from leaderboard.page.sections import TABS
+from leaderboard.site.index_data import PlacedTable, build_index, build_main_tables
+from leaderboard.site.packing import decode_script, encode_script
 from leaderboard.site.scene_facts import summarise_scenes
 from leaderboard.site.scene_index import build_scene_index, describe_label
 from leaderboard.site.site import INDEX_PATH, build_site_files
+from leaderboard.tables.comparisons import planner_table
+from leaderboard.tables.effect import effect_table
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 from tests.leaderboard.site.big_workspace import DATA_NAME, IMAGE_TAG
 from tests.leaderboard.site.conftest import FIGURE, Site
+from tests.leaderboard.site.reading import with_baseline
 
 ASSETS = Path(__file__).resolve().parents[3] / "leaderboard" / "site" / "assets"
 
@@ -107,9 +113,8 @@ def test_the_index_tells_contacts_with_the_adversary_from_others_and_never_says_
     assert [list(row) for row in verdicts["rows"]] == [
         ["old", "– whom not said", "–", "–", "0", ""], ["told", "✕ hits the adversary", "1", "1", "0", ""],
     ]  # fmt: skip
-    table = build_key_table(DataSetRuns("d", records))
-    assert table is not None
-    assert [row[table.columns.index("adversary")] for row in table.rows] == ["–", f"{100 / 6:.1f}"]
+    ((_, table, _, _),) = build_main_tables([DataSetRuns("d", records)])
+    assert [row[table.columns.index("adversary 3s")] for row in table.rows] == ["–", f"{100 / 6:.1f}"]
 
 
 def touching(planner: str, scenes: Mapping[str, Sequence[bool | None]], *, told: bool = True) -> RunRecord:
@@ -134,15 +139,15 @@ def touching(planner: str, scenes: Mapping[str, Sequence[bool | None]], *, told:
 def test_scenes_are_judged_in_the_index_as_in_the_records(site: Site, index: Any) -> None:
     scenes = {(scene["split"], scene["scene"]): scene for scene in index["scenes"]}
     summaries = {name[1:]: summary for name, summary in summarise_scenes(site.records, site.sheets).items()}
-    assert all(not scene["judged"] for (split, _), scene in scenes.items() if split == "val")
-    touched = 0
+    assert all(not scene["verdict"] for (split, _), scene in scenes.items() if split == "val")
+    touched, hardest_of = 0, dict.fromkeys(scenes, 0.0)
     for record in site.records:
         attacks = collect_scene_attacks(record)
         for scene in record.run.scenes:
             shown = scenes[record.run.split, scene]
             judgement = record.run.scene_facts[scene].judgement
             survives = [] if judgement is None else [name for name in DRIVER_NAMES if judgement.survives[name]]
-            assert shown["survives"] == survives and bool(shown["judged"]) is (judgement is not None)
+            assert shown["survives"] == survives and bool(shown["verdict"]) is (judgement is not None)
             if judgement is not None:
                 assert shown["order"].get("tight") == judgement.least_ttc_s
                 faults = [name.replace("_", " ") for name in judgement.faults]
@@ -158,10 +163,19 @@ def test_scenes_are_judged_in_the_index_as_in_the_records(site: Site, index: Any
             assert severity is not None and severity.contacts == len(with_adversary)
             assert severity.bystanders == len(contacts) - len(with_adversary)
             hardest = max((each.delta_v_ego_m_s for each in with_adversary), default=None)
-            assert severity.delta_v == hardest == shown.get("severe", {}).get(record.planner, [None])[0]
+            assert severity.delta_v == hardest
+            hardest_of[record.run.split, scene] = max(hardest_of[record.run.split, scene], hardest or 0.0)
             assert severity.at_fault is attacks[scene].verdicts["at_fault"]
             assert severity.attributable is attacks[scene].verdicts["attributable"]
     assert touched and any(scene["judged"] for scene in scenes.values())
+    # One number a scene, that of its table: the hardest contact of all planners, with the name of whose it is.
+    for name, scene in scenes.items():
+        found = [words for _, words, _ in scene["judged"] if words.startswith("delta-v")]
+        assert -scene["order"].get("severe", 0.0) == hardest_of[name] and len(found) == (hardest_of[name] > 0)
+        if found:
+            planner = found[0].partition(" (")[2].removesuffix(")")
+            delta_v = summaries[name].severity[planner].delta_v
+            assert delta_v == hardest_of[name] and found[0] == f"delta-v {delta_v:.1f} m/s ({planner})"
 
 
 def test_every_scene_has_its_files_and_one_without_a_sheet_says_so(site: Site, index: Any) -> None:
@@ -191,14 +205,15 @@ def test_a_number_leads_to_its_count_interval_protocol_and_record(site: Site, in
 
 def test_what_pages_link_and_show_is_in_the_folder(site: Site, index: Any) -> None:
     pages = site.index.parent
-    assert {"csv", "tex", "json"} == set(index["tables"][0]["files"])
-    assert len({table["group"] for table in index["tables"] if not table["group"].startswith("protocol ")}) > 3
-    paths = [path for table in index["tables"] for path in table["files"].values()]
-    for path in [*paths, *(figure["path"] for figure in index["figures"])]:
-        assert (pages / unquote(path)).read_bytes() == (site.board / unquote(path)).read_bytes()
+    assert set(index["tabs"].values()) <= set(TABS) and {table["group"] for table in index["tables"]} <= set(
+        index["tabs"]
+    )
+    assert {index["tabs"][group] for group in ("effect of the adversary", "causes", "published")} == {"results"}
+    assert index["tabs"]["protocol vad"] == index["tabs"]["protocols against exact"] == "protocols"
+    assert all((pages / unquote(figure["path"])).is_file() for figure in index["figures"])
     (rates,) = [figure for figure in index["figures"] if figure["title"] == "Rates"]
     assert (pages / unquote(rates["dark"])).read_bytes() == FIGURE.dark()
-    assert not (site.board / unquote(rates["dark"])).exists()
+    assert not (site.board / unquote(rates["path"])).exists()
     page = (pages / "index.html").read_text()
     scripts = set(re.findall(r'(?:src|href)="([a-z_/]+\.(?:js|css))"', page))
     assert scripts == {path.name for path in ASSETS.iterdir() if path.suffix != ".html"} | {INDEX_PATH}
@@ -284,8 +299,7 @@ def test_attempts_say_why_vehicles_were_discarded(site: Site, index: Any) -> Non
 
 def test_tables_have_names_of_their_own_whatever_data_sets_are_called() -> None:
     placed = [
-        PlacedTable(Table(name, "", ("a",), ()), data, "", "x")
-        for data, name in (("a", "b-c"), ("a-b", "c"), ("", "p"))
+        PlacedTable(Table(name, "", ("a",), ()), data, "") for data, name in (("a", "b-c"), ("a-b", "c"), ("", "p"))
     ]
     ids = [table["id"] for table in build_index(LeaderboardResults(()), placed, [], frozenset())["tables"]]
     assert ids == ["a-b-c", "a-b-c~2", "p"]
@@ -337,22 +351,53 @@ def test_the_index_stays_small(site: Site) -> None:
     assert each < 600
 
 
-def test_the_first_page_has_each_planners_averages_and_the_effect(site: Site, index: Any) -> None:
-    (key,) = index["keyTables"]
-    assert key["columns"] == ["planner", "average", "95 %", "average", "95 %", "adversary", "difference", "95 %"]
-    assert key["groups"] == [["", 1], ["val", 2], ["adv", 2], ["effect of the adversary", 3]]
-    by_run = {(record.planner, record.run.split): record for record in site.records}
-    assert {row[0].removesuffix(" †") for row in key["rows"]} == {planner for planner, _ in by_run}
-    for row in key["rows"]:
-        rates = [
-            by_run[row[0].removesuffix(" †"), split].summary.protocols["exact"].columns["collision"]["avg"]
-            for split in ("val", "adv")
-        ]
-        assert [row[1], row[3]] == ["–" if rate.value is None else f"{100 * rate.value:.2f}" for rate in rates]
-        caused = compute_effect(*(by_run[row[0].removesuffix(" †"), split] for split in ("adv", "val")))
-        assert caused is not None and caused.touched is not None and caused.paired is not None
-        assert row[5] == f"{100 * caused.touched[AT_3_S]:.1f}"
-        assert float(row[6]) == pytest.approx(100 * (caused.paired.difference.value or 0.0), abs=0.051)
+def test_the_first_table_is_the_effect_by_the_paired_difference_and_baselines_are_apart(site: Site) -> None:
+    results = read_results(with_baseline(site), sheets=site.sheets)
+    index = build_index(results, [], [], frozenset())
+    (main,) = index["mainTables"]
+    effect = effect_table(results.frames[0])
+    assert effect is not None and main["columns"][main["sorted"]] == "difference"
+    assert {"any, adv", "any, unchanged"} < set(main["columns"]) and "split" not in main["columns"]
+    full = {row[0]: dict(zip(effect.columns, row, strict=True)) for row in effect.rows}
+    assert {row[0] for row in main["rows"]} == set(full)
+    for row in main["rows"]:
+        assert {head: full[row[0]][head] for head in main["columns"]} == dict(zip(main["columns"], row, strict=True))
+    differences, apart = [float(row[main["sorted"]]) for row in main["rows"]], main["apart"]
+    assert differences == sorted(differences[:apart]) + differences[apart:] and main["rows"][apart:][0][0] == "stop"
+    (start,) = index["starts"]
+    assert "val: recorded scenes" in start["splits"] and "adv: the same recordings" in start["splits"]
+    # Whoever fails the scene that plays: nobody begins it as a baseline.
+    shown = decode_script(bytes(build_site_files(results, [])[f"data/scenes/{start['scene']}.js"]).decode())["shown"]
+    assert shown and all(names and "stop" not in names for names in shown)
+
+
+def test_baselines_are_those_of_the_product() -> None:
+    assert set(baselines()) == BASELINES
+
+
+def test_pairs_of_planners_are_a_matrix_with_every_number_of_the_list(site: Site, index: Any) -> None:
+    (shown,) = [table for table in index["tables"] if table["id"].endswith("-planners-adv-exact")]
+    pairs = planner_table(DataSetRuns(DATA_NAME, site.records), "exact", "adv")
+    assert pairs is not None
+    names = shown["columns"][1:]
+    assert [row[0] for row in shown["rows"]] == names and len(pairs.rows) == len(names) * (len(names) - 1) // 2
+    value = pairs.columns.index("second − first (points)")
+    for row in pairs.rows:
+        first, second = names.index(row[0]), names.index(row[1])
+        assert shown["rows"][first][second + 1] == row[value] and shown["rows"][second][first + 1] == row[value + 1]
+        shade = shown["heat"][first][second + 1]
+        assert (shade or " ")[0] == {"+": "p", "-": "m"}.get(row[value][0], " ")
+
+
+def test_an_extensions_page_hangs_below_a_tab(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("leaderboard.site.site.list_offers", lambda kind: ("protocols near misses", "mine"))
+    monkeypatch.setattr("leaderboard.site.site.call_extension", lambda kind, name, results: f"<p>{name}</p>")
+    files = build_site_files(read_results(site.records[:1]), [])
+    assert value_of(bytes(files[INDEX_PATH]))["pages"] == [
+        {"tab": "protocols", "name": "near misses", "path": "pages/near%2520misses.html"},
+        {"tab": "results", "name": "mine", "path": "pages/mine.html"},
+    ]
+    assert files["pages/mine.html"] == b"<p>mine</p>"
 
 
 def test_miniatures_carry_their_mark(site: Site) -> None:
@@ -364,8 +409,8 @@ def test_miniatures_carry_their_mark(site: Site) -> None:
     ]
     index = build_index(LeaderboardResults((DataSetRuns(DATA_NAME, small),)), [], [], frozenset())
     assert index["models"][0]["shown"] == f"{planner.name} §" and "pipeline" in index["models"][0]["lead"][0]
-    assert index["keyTables"][0]["rows"][0][0] == f"{planner.name} §"
-    assert "§ miniature: demonstrates the pipeline; not for ranking." in index["keyTables"][0]["notes"]
+    assert index["mainTables"][0]["rows"][0][0] == f"{planner.name} §"
+    assert any(note.startswith("§ miniature: demonstrates the pipeline") for note in index["mainTables"][0]["notes"])
 
 
 def test_one_colour_for_the_adversary() -> None:

@@ -125,6 +125,42 @@ def test_collisions_are_marked_where_the_record_says(browser: Browser, site: Sit
     assert "hits" in browser.one("player-verdicts").text
 
 
+def test_lines_of_planners_that_are_not_shown_are_grey_and_not_empty(browser: Browser, site: Site) -> None:
+    planner, scene = most_collisions(site)
+    other = next(name for name in site.made.planners if name != planner)
+    open_player(browser, scene_route(site, scene, "?" + model_query(other)))
+    off = browser.driver.find_elements(By.CSS_SELECTOR, f'.cp-off [data-model="{planner}"]')
+    assert len(off) == len(colliding_frames(site, planner, scene))
+    quiet = browser.js("return getComputedStyle(arguments[0]).color;", off[0])
+    assert f"at {float(str(off[0].get_attribute('data-frame'))) / 12:.1f} s" in str(off[0].get_attribute("title"))
+    browser.click(next(box for box in browser.all("player-model") if box.get_property("value") == planner))
+    on = browser.all("player-collision")
+    assert browser.js("return getComputedStyle(arguments[0]).color;", on[0]) != quiet
+
+
+def test_times_are_those_of_the_scene(browser: Browser, site: Site) -> None:
+    planner, scene = most_collisions(site)
+    open_player(browser, scene_route(site, scene, "?" + model_query(planner)))
+    mark = browser.all("player-collision")[0]
+    made = float(str(mark.get_attribute("data-frame"))) / 12
+    contact = made + float(str(mark.get_attribute("data-contact")))
+    assert re.search(rf"made at {made:.1f} s .* at {contact:.1f} s", str(mark.get_attribute("title")))
+    browser.click(mark)
+    browser.until("document.querySelector('.cp-verdicts tbody td:nth-of-type(4)')?.textContent === arguments[0]",
+                  f"{contact:.1f} s")  # fmt: skip
+
+
+def test_nothing_plays_before_its_pictures_are_there(browser: Browser, site: Site) -> None:
+    open_player(browser, scene_route(site, most_collisions(site)[1], "?t=0"))
+    late = "{ get: () => window.there, configurable: true }"
+    browser.js(f"window.there = false; Object.defineProperty(HTMLImageElement.prototype, 'complete', {late});")
+    browser.one("player-play").click()
+    browser.frames(20)
+    assert browser.value("player-scrub") == "0" and browser.one("player-play").text == "Loading …"
+    browser.js("window.there = true;")
+    browser.until("Number(document.querySelector('[data-testid=player-scrub]').value) >= 3")
+
+
 def test_planners_are_chosen_and_remembered(browser: Browser, site: Site) -> None:
     planner, scene = most_collisions(site)
     open_player(browser, scene_route(site, scene, f"?{model_query(planner)}&t=1"))
@@ -228,7 +264,7 @@ def test_the_player_begins_two_seconds_before_the_first_contact_with_planners_th
 def test_letters_on_every_page_can_be_read(browser: Browser, site: Site) -> None:
     """Eleven pixels at least, in text of pages as in figures, whose boxes scroll before they shrink."""
     _, scene = most_collisions(site)
-    for route in ("#/", "#/tables?group=figures", scene_route(site, scene)):
+    for route in ("#/", "#/transfer", scene_route(site, scene)):
         browser.open(route)
         smallest = browser.js(
             """

@@ -132,7 +132,7 @@ def test_cards_say_who_survives_and_the_most_severe_come_first(browser: Browser,
     shown = browser.js(
         "return [...document.querySelectorAll('[data-testid=scene-card]')].map((card) =>"
         " window.CHALLENGER.scenes.find((scene) => scene.key === card.dataset.key)).map((scene) =>"
-        " scene.severe?.[''][0] ?? -1)"
+        " -(scene.order.severe ?? 1))"
     )
     assert shown == sorted(shown, reverse=True) and shown[0] > shown[-1]
 
@@ -185,7 +185,7 @@ def test_attempts_say_what_was_discarded_and_why(browser: Browser, site: Site) -
     attempts = [attempt for sheet in site.sheets.splits.values() for attempt in sheet.attempts]
     reasons = Counter(attempt.discarded for attempt in attempts if attempt.discarded is not None)
     assert HOSTILE_REASON in reasons
-    browser.open("#/attempts")
+    browser.open("#/generation")
     assert len(browser.driver.find_elements(By.CSS_SELECTOR, "[data-testid=table-attempts] tbody tr")) == len(attempts)
     for reason, count in reasons.items():
         browser.choose("filter-reason", reason)
@@ -193,7 +193,7 @@ def test_attempts_say_what_was_discarded_and_why(browser: Browser, site: Site) -
         assert len(rows) == count
         assert all(reason in row.text for row in rows)
         assert query_of(browser)["reason"] == [reason]
-    browser.open(f"#/attempts?reason={quote(HOSTILE_REASON, safe='')}")
+    browser.open(f"#/generation?reason={quote(HOSTILE_REASON, safe='')}")
     assert browser.value("filter-reason") == HOSTILE_REASON
     assert browser.js("return document.querySelectorAll('main svg[onload]').length;") == 0
     assert browser.js("return window.noted;") == []

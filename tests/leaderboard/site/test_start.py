@@ -1,17 +1,16 @@
-"""The first page in a real browser: what this is, a scene that plays, the table that matters, where to go on."""
+"""The first page in a real browser: the table that matters, a scene that plays, and all other results."""
 
 import re
 from pathlib import Path
 
 from selenium.webdriver.common.by import By
 
+from benchmark.metrics.effect import AT_3_S, compute_effect
 from benchmark.records.scene_pages import NO_SCENE_PAGES
 from leaderboard.frame.results import read_results
 from tests.leaderboard.site.browser import Browser
 from tests.leaderboard.site.conftest import Site, write_site
-from tests.leaderboard.site.reading import record_of
-
-TALLEST_PX = 2500
+from tests.leaderboard.site.reading import with_baseline
 
 
 def begun(browser: Browser) -> None:
@@ -22,10 +21,11 @@ def begun(browser: Browser) -> None:
 def test_a_scene_plays_by_itself_and_stops_when_told(browser: Browser) -> None:
     browser.open("#/")
     begun(browser)
-    assert browser.js("return document.documentElement.scrollHeight;") < TALLEST_PX
-    said = browser.driver.find_element(By.CSS_SELECTOR, "main .lead").text
-    assert len(re.findall(r"[.](?:\s|$)", said)) == 3
-    assert len(browser.driver.find_elements(By.CSS_SELECTOR, "main table, main figure")) == 2
+    assert len(re.findall(r"[.?](?:\s|$)", browser.driver.find_element(By.CSS_SELECTOR, "main .lead").text)) == 2
+    first_seen = browser.js(
+        "return [...document.querySelectorAll('main table, .showing')].map((each) => each.className);"
+    )
+    assert first_seen[:2] == ["", "showing"]
     # The wheel scrolls the page and not the scene.
     wheel = 'new WheelEvent("wheel", { deltaY: 120, bubbles: true, cancelable: true })'
     assert browser.js(f'return document.querySelector(".showing-above").dispatchEvent({wheel});')
@@ -52,30 +52,41 @@ def test_nothing_moves_unasked_for_those_who_do_not_want_it(browser: Browser) ->
     browser.until("document.querySelector('[data-testid=showing]').dataset.frame !== arguments[0]", first)
 
 
-def test_the_table_has_the_averages_of_the_records(browser: Browser, site: Site) -> None:
-    browser.open("#/")
-    rows = {
-        row.find_element(By.TAG_NAME, "th").text: [cell.text for cell in row.find_elements(By.TAG_NAME, "td")]
-        for row in browser.driver.find_elements(By.CSS_SELECTOR, "main table tbody tr")
-    }
-    assert {name.removesuffix(" †") for name in rows} == set(site.made.planners)
-    for name, cells in rows.items():
-        for split, shown in (("val", cells[0]), ("adv", cells[2])):
-            rate = (
-                record_of(site, name.removesuffix(" †"), split).summary.protocols["exact"].columns["collision"]["avg"]
-            )
-            assert float(shown) == round(100 * (rate.value or 0.0), 2)
+def test_the_first_table_has_the_effect_of_the_records_and_baselines_stay_apart_however_it_is_sorted(
+    browser: Browser, site: Site, tmp_path: Path
+) -> None:
+    records = with_baseline(site)
+    browser.open("#/", start=write_site(read_results(records, sheets=site.sheets), tmp_path))
+    table = browser.driver.find_element(By.CSS_SELECTOR, "main table")
+    heads = browser.js("return [...arguments[0].tHead.rows[1].cells].map((cell) => cell.textContent);", table)
+    column = heads.index("difference")
+    read = "return [...arguments[0].tBodies[0].rows].map((row) => [...row.cells].map((cell) => cell.textContent));"
+    rows = browser.js(read, table)
+    (label,) = [place for place, row in enumerate(rows) if len(row) == 1]
+    assert [row[0] for row in rows[label + 1 :]] == ["stop"]
+    for row in rows[:label] + rows[label + 1 :]:
+        of_splits = {record.run.split: record for record in records if record.planner == row[0].removesuffix(" †")}
+        effect = compute_effect(of_splits["adv"], of_splits["val"])
+        assert effect is not None and effect.touched is not None and effect.paired is not None
+        assert row[heads.index("adversary 3s")] == f"{100 * effect.touched[AT_3_S]:.1f}"
+        assert abs(float(row[column].replace("−", "-")) - 100 * (effect.paired.difference.value or 0.0)) < 0.051
+    head = browser.js("return arguments[0].tHead.rows[1].cells[arguments[1]];", table, column)
+    assert head.get_attribute("aria-sort") == "ascending"
+    browser.click(head.find_element(By.TAG_NAME, "button"))
+    turned = browser.js(read, table)
+    assert turned[label] == rows[label] and turned[:label] == rows[:label][::-1]
 
 
-def test_it_leads_on(browser: Browser, site: Site) -> None:
+def test_one_page_has_all_results_and_its_links_lead_to_their_headings(browser: Browser) -> None:
     browser.open("#/")
-    links = browser.driver.find_elements(By.CSS_SELECTOR, "[data-testid=onwards] a")
-    targets = [str(link.get_attribute("href")).partition("#")[2] for link in links]
-    kinds = [target.split("/")[1].split("?")[0] for target in targets]
-    assert kinds == ["tables", "models", "scenes", "attempts", "compare"]
-    for target in targets:
-        browser.open("#" + target)
-        assert browser.all("error") == []
+    begun(browser)
+    groups = [link.text for link in browser.driver.find_elements(By.CSS_SELECTOR, ".contents a")]
+    assert {"effect of the adversary", "collision rates", "causes", "slices"} <= set(groups)
+    browser.click(browser.driver.find_element(By.LINK_TEXT, "causes"))
+    browser.until("window.CHALLENGER_READY === true")
+    heading = browser.js("return [...document.querySelectorAll('h2')].find((each) => each.textContent === 'Causes');")
+    assert 0 <= browser.js("return arguments[0].getBoundingClientRect().top;", heading) < 200
+    assert browser.route == "#/results?group=causes"
 
 
 def test_pictures_follow_the_theme(browser: Browser) -> None:

@@ -1,11 +1,14 @@
 """Tables, planners and addresses of the site in a real browser."""
 
-from urllib.parse import quote
+import csv
+import io
+from urllib.parse import quote, unquote
 
 import pytest
 from selenium.webdriver.common.by import By
 from selenium.webdriver.remote.webelement import WebElement
 
+from benchmark.report.words import ABBREVIATIONS
 from tests.leaderboard.site.big_workspace import IMAGE_TAG
 from tests.leaderboard.site.browser import Browser
 from tests.leaderboard.site.conftest import Site
@@ -53,7 +56,7 @@ def head(browser: Browser, table: WebElement, column: int) -> WebElement:
 
 
 def test_a_column_sorts_by_number_up_and_down_and_back(browser: Browser) -> None:
-    browser.open("#/tables")
+    browser.open("#/")
     table, column = sortable(browser)
     as_it_came = cells(browser, table, column)
     button = head(browser, table, column).find_element(By.TAG_NAME, "button")
@@ -82,7 +85,7 @@ def test_a_column_sorts_by_number_up_and_down_and_back(browser: Browser) -> None
 
 
 def test_filter_hides_rows_without_its_words(browser: Browser) -> None:
-    browser.open("#/tables")
+    browser.open("#/planners")
     table = browser.driver.find_element(By.CSS_SELECTOR, '[data-testid^="table-"]')
     every = cells(browser, table, 0)
     browser.choose("filter-text", "PLANNER-01")
@@ -97,7 +100,7 @@ def test_filter_hides_rows_without_its_words(browser: Browser) -> None:
 
 
 def test_numbers_say_what_stands_behind_them(browser: Browser) -> None:
-    browser.open("#/tables")
+    browser.open("#/")
     cell = browser.driver.find_element(By.CSS_SELECTOR, '[data-testid^="table-"] td[data-facts]')
     browser.js("arguments[0].focus();", cell)
     note = browser.driver.find_element(By.CSS_SELECTOR, "[role=tooltip]")
@@ -109,28 +112,29 @@ def test_numbers_say_what_stands_behind_them(browser: Browser) -> None:
 
 
 def test_slices_are_chosen_by_kind_and_by_name_and_the_choice_is_a_link(browser: Browser) -> None:
-    browser.open("#/tables?group=slices")
+    browser.open("#/results?group=slices")
     kinds = browser.js("return [...arguments[0].options].map((option) => option.value);", browser.one("filter-by"))
     assert {"command", "manoeuvre"} <= set(kinds) and len(kinds) == len(set(kinds))
     browser.choose("filter-by", "manoeuvre")
     titles = [title.text for title in browser.driver.find_elements(By.CSS_SELECTOR, ".table-head h3")]
-    assert titles and all(" by manoeuvre" in title for title in titles)
-    table = browser.driver.find_element(By.CSS_SELECTOR, '[data-testid^="table-"]')
+    assert any(" by manoeuvre" in title for title in titles) and not any(" by command" in title for title in titles)
+    of_slices = '[data-testid*="-slices-manoeuvre-"]'
+    table = browser.driver.find_element(By.CSS_SELECTOR, of_slices)
     every = cells(browser, table, 2)
     name = every[0]
     assert len(set(every)) > 1
     browser.choose("filter-slice", name)
-    table = browser.driver.find_element(By.CSS_SELECTOR, '[data-testid^="table-"]')
+    table = browser.driver.find_element(By.CSS_SELECTOR, of_slices)
     assert cells(browser, table, 2) == [each for each in every if each == name]
     asked = query_of(browser)
     assert (asked["group"], asked["by"], asked["slice"]) == (["slices"], ["manoeuvre"], [name])
     browser.open(browser.route)
-    table = browser.driver.find_element(By.CSS_SELECTOR, '[data-testid^="table-"]')
+    table = browser.driver.find_element(By.CSS_SELECTOR, of_slices)
     assert set(cells(browser, table, 2)) == {name} and browser.value("filter-slice") == name
 
 
 def test_every_planner_has_a_page(browser: Browser, site: Site) -> None:
-    browser.open("#/models")
+    browser.open("#/planners")
     links = {link.text: str(link.get_attribute("href")) for link in browser.all("model-link")}
     assert {name for name in site.made.planners if any(name in shown for shown in links)} == set(site.made.planners)
     for name in site.made.planners:
@@ -141,14 +145,9 @@ def test_every_planner_has_a_page(browser: Browser, site: Site) -> None:
         assert name in browser.driver.title
 
 
-def test_a_planners_page_has_its_profile_of_driving_scores_val_beside_adv(browser: Browser, site: Site) -> None:
+def test_a_planners_page_has_its_driving_scores_val_beside_adv(browser: Browser, site: Site) -> None:
     name = site.made.planners[0]
     browser.open(f"#/model/{quote(name, safe='')}")
-    label = "driving scores (%), nuscenes-pdm"
-    (drawing,) = browser.driver.find_elements(By.CSS_SELECTOR, f'main svg[aria-label*="{label}"]')
-    texts = [each.get_attribute("textContent") for each in drawing.find_elements(By.CSS_SELECTOR, "text")]
-    assert texts[-8:] == ["NC", "DAC", "DDC", "EP", "TTC", "LK", "HC", "EC"] and "100 %" in texts
-    assert len(drawing.find_elements(By.CSS_SELECTOR, "g.series")) == 2
     table = browser.driver.find_element(By.CSS_SELECTOR, '[data-testid$="-pdm"]')
     assert cells(browser, table, 1) == ["val", "adv"]
     heads = browser.js("return [...arguments[0].tHead.rows].at(-1).innerText.split(/\\s*\\t\\s*/);", table)
@@ -158,14 +157,19 @@ def test_a_planners_page_has_its_profile_of_driving_scores_val_beside_adv(browse
         for column, shown in ((2, "score"), (heads.index("NC"), "nc"), (heads.index("EC"), "ec")):
             value = driving.columns[shown]["mean"].value
             assert cells(browser, table, column)[row] == f"{100 * (value or 0.0):.1f}"
+    spelled = browser.js(
+        "return [...arguments[0].querySelectorAll('abbr')].map((each) => [each.textContent, each.title]);", table
+    )
+    assert {"NC", "EC", "TTC"} <= {short for short, _ in spelled}
+    assert all(words == ABBREVIATIONS[short] for short, words in spelled)
 
 
 @pytest.mark.parametrize(
     "route",
     [
         "#/nothing-of-that-name",
-        "#/tables?group=slices&by=nonsense",
-        "#/tables?group=slices&by=command&slice=nonsense",
+        "#/results?group=slices&by=nonsense",
+        "#/results?group=slices&by=command&slice=nonsense",
         "#/scene/0000000000000000",
         "#/scene/constructor",
         "#/compare/__proto__?a=x&b=y",
@@ -181,28 +185,30 @@ def test_addresses_that_mean_nothing_say_so(browser: Browser, route: str) -> Non
     assert error.is_displayed()
     assert error.text.endswith(".")
     assert browser.js("return window.noted;") == []
-    browser.go("#/models")
+    browser.go("#/planners")
     assert browser.all("error") == [] and browser.all("model-link")
 
 
 def test_a_planner_called_like_html_is_text(browser: Browser, site: Site) -> None:
     assert IMAGE_TAG in site.made.planners
-    for route in ("#/", "#/tables", "#/models", "#/scenes", "#/model/%3Cimg%20src%3Dx%20onerror%3Dalert(1)%3E"):
+    for route in ("#/", "#/transfer", "#/planners", "#/scenes", "#/model/%3Cimg%20src%3Dx%20onerror%3Dalert(1)%3E"):
         browser.open(route)
         assert IMAGE_TAG in browser.js("return document.body.textContent;")
         assert browser.js("return document.querySelectorAll('img[src=x]').length;") == 0
         assert browser.js("return window.noted;") == []
 
 
-def test_every_group_of_tables_is_a_page_whose_columns_are_reached_by_scrolling_their_own_box(browser: Browser) -> None:
-    browser.open("#/tables")
-    links = browser.driver.find_elements(By.CSS_SELECTOR, ".tabs a")
-    targets = [str(link.get_attribute("href")).partition("#")[2] for link in links]
-    assert len(targets) > 4
-    for target in targets:
-        browser.go("#" + target)
+def test_every_tab_shows_its_tables_whose_columns_are_reached_by_scrolling_their_own_box(browser: Browser) -> None:
+    browser.open("#/")
+    tabs = browser.driver.find_elements(By.CSS_SELECTOR, "[data-testid=nav] a")
+    names = {tab.text: f"#{str(tab.get_attribute('href')).partition('#')[2]}" for tab in tabs}
+    assert list(names) == ["Results", "Transfer", "Scenes", "Planners", "Generation", "Protocols"]
+    for name, target in names.items():
+        browser.open(target)
         assert browser.all("error") == []
-        assert browser.driver.find_elements(By.CSS_SELECTOR, "main table, main figure")
+        current = browser.driver.find_elements(By.CSS_SELECTOR, "[data-testid=nav] a[aria-current]")
+        assert [tab.text for tab in current] == [name]
+        assert browser.driver.find_elements(By.CSS_SELECTOR, "main table, main article")
         lost = browser.js(
             """
             return [...document.querySelectorAll(".table-box")].filter((box) => {
@@ -213,3 +219,54 @@ def test_every_group_of_tables_is_a_page_whose_columns_are_reached_by_scrolling_
             """
         )
         assert lost == 0
+
+
+def test_one_protocol_at_a_time_is_chosen_and_the_choice_is_a_link(browser: Browser) -> None:
+    browser.open("#/protocols")
+    names = browser.js(
+        "return [...arguments[0].options].map((option) => option.value);", browser.one("filter-protocol")
+    )
+    assert len(names) > 1
+    for name in names:
+        browser.choose("filter-protocol", name)
+        titles = [title.text for title in browser.driver.find_elements(By.CSS_SELECTOR, ".table-head h3")]
+        judged = [title.rpartition("protocol ")[2].split()[0] for title in titles if "protocol " in title]
+        assert set(judged) == {name}
+        assert any("measured by exact" in title for title in titles)
+    browser.open(browser.route)
+    assert browser.value("filter-protocol") == names[-1]
+
+
+@pytest.mark.parametrize(
+    ("before", "now"),
+    [
+        ("#/tables", "#/results"),
+        ("#/tables?group=planners%20and%20transfer", "#/transfer"),
+        ("#/tables?group=slices&by=command", "#/results?group=slices&by=command"),
+        ("#/tables?group=protocol%20vad", "#/protocols?protocol=vad"),
+        ("#/tables?group=scenes%20and%20their%20generation", "#/generation"),
+        ("#/tables?group=figures", "#/results"),
+        ("#/models?protocol=vad", "#/planners?protocol=vad"),
+        ("#/attempts?reason=kept", "#/generation?reason=kept"),
+    ],
+)
+def test_addresses_of_earlier_sites_lead_to_the_new_places(browser: Browser, before: str, now: str) -> None:
+    browser.open(before)
+    assert browser.all("error") == [] and browser.route.startswith(now)
+    assert browser.driver.find_elements(By.CSS_SELECTOR, "main table")
+
+
+def test_a_table_is_a_file_too(browser: Browser) -> None:
+    browser.open("#/")
+    link = browser.driver.find_element(By.CSS_SELECTOR, ".files a")
+    browser.js("arguments[0].addEventListener('click', (event) => event.preventDefault());", link)
+    browser.click(link)
+    text = unquote(str(link.get_attribute("href")).partition(",")[2])
+    rows = browser.js(
+        "return [...arguments[0].closest('section').querySelector('tbody').rows].filter((row) => row.cells.length > 1)"
+        ".map((row) => [...row.cells].map((cell) => cell.textContent));",
+        link,
+    )
+    heads, *read = csv.reader(io.StringIO(text))
+    assert read == [["" if cell == UNDEFINED else cell for cell in row] for row in rows]
+    assert any(head.startswith("difference | ") for head in heads)

@@ -23,13 +23,13 @@ def routes(site: Site) -> list[str]:
     hostile = key_of(HOSTILE_NAMES[0], "adv")
     return [
         "#/",
-        "#/tables",
-        "#/tables?group=figures",
-        "#/models",
+        "#/transfer",
+        "#/protocols",
+        "#/planners",
         f"#/model/{planner}",
         "#/scenes",
         f"#/scenes?q={scene}",
-        "#/attempts",
+        "#/generation",
         f"#/scene/{hostile}?model={planner}",
         scene_route(site, site.made.without_sheet),
         f"#/compare/{hostile}?a={planner}&b={site.made.planners[0]}",
@@ -98,7 +98,7 @@ def test_light_and_dark(browser: Browser, site: Site) -> None:
     brightness = {}
     for scheme in ("light", "dark"):
         browser.prefer(scheme)
-        browser.open("#/models")
+        browser.open("#/planners")
         assert theme(browser) == scheme
         brightness[scheme] = sum(background(browser))
     assert brightness["light"] > 600
@@ -114,7 +114,7 @@ def test_light_and_dark(browser: Browser, site: Site) -> None:
 
 
 def test_the_slash_leads_to_the_filter(browser: Browser) -> None:
-    for route in ("#/tables", "#/scenes", "#/attempts"):
+    for route in ("#/", "#/scenes", "#/generation"):
         browser.open(route)
         browser.js("document.activeElement.blur();")
         browser.press("/")
@@ -126,8 +126,7 @@ def test_the_slash_leads_to_the_filter(browser: Browser) -> None:
 @pytest.mark.parametrize(
     ("page", "wanted"),
     [
-        ("#/", {"theme-toggle", "showing-play"}),
-        ("#/tables", {"theme-toggle", "filter-text"}),
+        ("#/", {"theme-toggle", "showing-play", "filter-text"}),
         ("#/scenes", {"filter-text", "filter-split", "filter-manoeuvre", "filter-fails"}),
         ("scene", {"player-play", "player-scrub", "player-model", "player-birdseye"}),
     ],

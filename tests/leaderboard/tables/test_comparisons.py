@@ -205,6 +205,6 @@ def test_where_records_lie_is_in_no_table() -> None:
     records = [*pair("a", "vad"), *pair("b"), hand_made("c", VAL, split="val", versions={"exact": 0})]
     moved = [replace(record, directory=record.directory / "elsewhere") for record in records]
     made, again = (build_data_set_tables(DataSetRuns("d", each)).tables for each in (records, moved))
-    assert [table.json() for table in made] == [table.json() for table in again]
+    assert [table.as_json() for table in made] == [table.as_json() for table in again]
     for form in (Table.markdown, Table.latex, Table.csv, Table.plain):
         assert [form(table) for table in made] == [form(table) for table in again]

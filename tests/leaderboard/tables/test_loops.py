@@ -31,7 +31,7 @@ def test_rates_ranks_and_scenes(tmp_path: Path) -> None:
         ("b", "s3", "only open", "–"),
     ]
     for table in (rates, scenes):
-        assert table.markdown() and table.plain() and table.latex() and table.csv() and table.json()
+        assert table.markdown() and table.plain() and table.latex() and table.csv() and table.as_json()
 
 
 def test_worlds_are_never_mixed_and_without_runs_there_is_no_table(tmp_path: Path) -> None:

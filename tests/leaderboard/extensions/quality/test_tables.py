@@ -99,8 +99,7 @@ def test_the_leaderboard_has_the_table_without_runs(tmp_path: Path) -> None:
     found = [made(tmp_path / "records", "val")]
     written = write_leaderboard(read_results([], found), tmp_path / "board")
     files = {path.relative_to(tmp_path / "board").as_posix() for path in written}
-    assert {"tables/mini/quality-boxes.tex", "tables/mini/quality-boxes.csv"} <= files
-    assert "published/quality-published.tex" in files
+    assert {"tables/quality.csv", "published.csv", "tables.tex", "tables.json"} <= files
     assert "## Video quality" in (tmp_path / "board" / "README.md").read_text()
     assert find_stale_files(read_results([], found), tmp_path / "board") == []
     assert find_stale_files(read_results([], [made(tmp_path / "records", "val", size=(1, 1))]), tmp_path / "board")
