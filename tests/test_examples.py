@@ -7,7 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 import pytest
+from safetensors.torch import save_file
+
+import benchmark
 
 mpl.use("Agg")
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -26,7 +30,7 @@ def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, A
 
 
 def test_the_four_are_there_and_in_the_percent_format() -> None:
-    assert sorted(path.stem for path in EXAMPLES.glob("*.py")) == sorted(NAMES)
+    assert sorted(path.stem for path in EXAMPLES.glob("*.py")) == sorted([*NAMES, "torch_planner"])
     for name in NAMES:
         text = (EXAMPLES / f"{name}.py").read_text()
         head, *cells = re.split(r"^# %%", text, flags=re.MULTILINE)
@@ -66,3 +70,19 @@ def test_drive_it(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.
     assert left["reacting"].facts.measured.agents == "idm" and left["reacting"].complete
     assert "contact (front)" in capsys.readouterr().out
     assert (folder / "challenger-out" / "drive-it.png").stat().st_size > 5_000
+
+
+def test_a_network_with_six_cameras(tmp_path: Path) -> None:
+    small = benchmark.TownSettings(val_scenes=1, width=96, height=54, frames="keyframes")
+    town = benchmark.open_data(benchmark.build_town(tmp_path / "town", small, workers=1))
+    left = runpy.run_path(str(EXAMPLES / "torch_planner.py"))
+    straight = benchmark.evaluate(town, "val", left["TorchPlanner"](device="cpu"), tmp_path / "straight")
+    network = left["Network"]()
+    network.head.bias.data[:] = 1.0
+    save_file(network.state_dict(), tmp_path / "mine.safetensors")
+    aside = left["TorchPlanner"](tmp_path / "mine.safetensors", device="cpu")
+    moved = benchmark.evaluate(town, "val", aside, tmp_path / "moved")
+    assert straight.complete and straight.planner == "torch-planner" and len(straight.rows) == 40
+    for before, after in zip(straight.rows, moved.rows, strict=True):
+        assert before.plan is not None and after.plan is not None
+        assert np.allclose(np.array(after.plan.waypoints) - np.array(before.plan.waypoints), 1.0)

@@ -11,8 +11,8 @@ from benchmark.errors import InputError
 from benchmark.machine.environment import read_machine_metadata as environment_facts
 from benchmark.machine.extension import AbsentExtensionError
 from benchmark.machine.storage import lock_folder
-from benchmark.records.drives import DRIVE_FILE, DRIVE_FILES, DriveRecord, load_drives, summarise_episodes, write_drives
-from benchmark.records.store import finish_replacement, pending_path
+from benchmark.records.drives import DRIVE_FILES, DriveRecord, load_drives, summarise_episodes, write_drives
+from benchmark.records.store import DRIVE_FILE, finish_replacement, pending_path
 from benchmark.runs.caveats import list_drive_caveats
 from benchmark.runs.drive_rows import compare_drive, mark_labelled
 from benchmark.runs.redriving import redrive_and_score

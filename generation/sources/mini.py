@@ -10,8 +10,9 @@ from benchmark.machine.storage import content_key, lock_folder, read_cached_json
 from benchmark.machine.workers import LocalProcesses
 from benchmark.machine.workspace import is_finished
 from benchmark.records.driven_ego import DRIVEN
-from benchmark.records.drives import DRIVE_FILE, DriveRecord, find_drives
+from benchmark.records.drives import DriveRecord, find_drives
 from benchmark.records.off_path import OFF_PATH
+from benchmark.records.store import DRIVE_FILE
 from benchmark.runs.units import run_units
 from generation.nuscenes_writer import DataSetPlan, finish_data_set
 from generation.nuscenes_writer.plan import SHARED_TABLES_VERSION, STATE_FOLDER

@@ -33,10 +33,11 @@ from benchmark.planning import Plan, PlanFrame
 from benchmark.protocols import PROTOCOLS, find_protocol
 from benchmark.records.attempts import read_generated_facts
 from benchmark.records.drive_schema import EpisodeRow
-from benchmark.records.drives import DRIVE_FILE, DriveRecord, load_drives
+from benchmark.records.drives import DriveRecord, load_drives
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord, load_record
 from benchmark.records.run_schema import PlannerFacts, RecordFacts, RunFacts, SceneFacts
+from benchmark.records.store import DRIVE_FILE
 from benchmark.report.words import pluralise
 from benchmark.runs.judging import parse_plan
 from benchmark.runs.rescoring import OpenedDataSets, find_record_directories, open_as_recorded

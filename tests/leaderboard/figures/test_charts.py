@@ -14,8 +14,7 @@ from benchmark.records.run_schema import SceneFacts
 from benchmark.report.plots import DARK, LIGHT
 from leaderboard.figures.charts import disagreement_figure, manoeuvre_figure, rates_over_horizon, run_figures
 from leaderboard.frame.runs import DataSetRuns
-from tests.benchmark.metrics.made_attacks import attacked
-from tests.benchmark.metrics.test_effect import told
+from tests.benchmark.metrics.made_attacks import attacked, told
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 
 HOSTILE = ("$x_{1$ \\frac", "<script>&--", "a\x00b\nc", "日本語", "x" * 500, "")

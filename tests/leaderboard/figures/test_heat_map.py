@@ -28,8 +28,7 @@ from leaderboard.figures.heat_map import (
     write_heat_map,
     write_lift_map,
 )  # fmt: skip
-from tests.benchmark.metrics.made_attacks import attacked
-from tests.benchmark.metrics.test_effect import told
+from tests.benchmark.metrics.made_attacks import attacked, told
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 
 

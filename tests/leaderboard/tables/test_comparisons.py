@@ -15,8 +15,7 @@ from leaderboard.tables.collision import collision_table
 from leaderboard.tables.comparisons import planner_table, split_table
 from leaderboard.tables.contents import build_data_set_tables, missing_notes
 from leaderboard.tables.transfer import agreement_table, transfer_table
-from tests.benchmark.metrics.made_attacks import attacked
-from tests.benchmark.metrics.test_effect import told
+from tests.benchmark.metrics.made_attacks import attacked, told
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, LATE, hand_made
 
 ALL = ("exact", "uniad", "vad")
