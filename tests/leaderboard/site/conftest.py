@@ -100,4 +100,6 @@ def browser(_running: Browser) -> Iterator[Browser]:
     _running.forget_logs()
     yield _running
     left = list(_running.note_logs())
+    # A scene that plays would go on through the tests of other modules.
+    _running.driver.get("about:blank")
     assert left == [], "warnings or errors in the console"
