@@ -11,10 +11,12 @@ from pathlib import Path
 import pytest
 
 from benchmark.cli.app import app
+from benchmark.records.run import find_records
 from tests.benchmark.cli.cli_runs import bytes_below
 from tests.generation.nuscenes_writer.written_roots import write_root
 from tests.hand_made import scene_on_straight_road
 
+ROOT = Path(__file__).resolve().parents[3]
 SEARCH = ("--preset", "near", "--candidates", "16", "--rounds", "1", "--vehicles", "2", "--seed", "3")
 IMAGES = ("--size", "64x40", "--frames", "keyframes", "--workers", "1")
 
@@ -89,13 +91,38 @@ def interrupt_at(command: list[str], out: Path, files: int) -> None:
     assert said[-1] == "interrupted; finished work is kept, the same command resumes" and "Traceback" not in err
 
 
+SLOW = """
+import time
+from pathlib import Path
+import numpy as np
+from benchmark import Plan
+
+class Slow:
+    name = "slow"
+
+    def reset(self, scene):
+        Path("begun").mkdir(exist_ok=True)
+        Path("begun", scene.name).touch()
+
+    def plan(self, observation):
+        time.sleep(0.2)
+        return Plan(np.array([[step, 0.0] for step in range(1, 7)]), "ego")
+"""
+
+
 def test_an_evaluation_that_is_interrupted_says_that_the_same_command_resumes(
-    source: Path, undisturbed: Path, tmp_path: Path
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shutil.copytree(undisturbed / "data", tmp_path / "data")
-    interrupt_at(evaluating(source, tmp_path), tmp_path, len(bytes_below(tmp_path)) + 1)
-    finish(evaluating(source, tmp_path))
-    assert bytes_below(tmp_path) == bytes_below(undisturbed)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), str(tmp_path)]))
+    (tmp_path / "slow.py").write_text(SLOW)
+    asked = ["--split", "val", "--workers", "1", "--model", "slow:Slow"]
+    command = ["eval", "--data", str(source), "--out", str(tmp_path / "out"), *asked]
+    interrupt_at(command, tmp_path / "begun", 1)
+    assert not find_records(tmp_path / "out" / "runs")
+    finish(command)
+    (record,) = find_records(tmp_path / "out" / "runs")
+    assert record.complete and record.planner == "slow"
 
 
 @pytest.mark.slow

@@ -212,7 +212,7 @@ def test_the_command_searches_draws_and_finishes(source: DataSet, tmp_path: Path
     assert done.code == 0 and [each["searched"] for each in json.loads(done.out)] == [1], done.err
     originals = ("generate", "--split", "val-r", *given, *cheap)
     drawn = run_here(*originals, "--shard", "1/2")
-    assert drawn.code == 0 and "shard 1/2, 2 of 3 scenes drawn" in drawn.out and "no --shard" in drawn.err
+    assert drawn.code == 0 and "shard 1/2, 2 of 3 scenes drawn" in drawn.out and "once all shards are done" in drawn.err
     assert run_here(*originals, "--shard", "2/2").code == 0
     assert run_here(*originals).code == 0
     assert len(open_data(tmp_path / "data" / source.name / "val-r").scene_names("val-r")) == 3
