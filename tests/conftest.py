@@ -5,11 +5,16 @@ import time
 from collections.abc import Iterator
 from functools import cache
 
-import hypothesis  # noqa: F401 - looks for who refers to its generators, which does not find what is frozen below
+# Imported first: it looks for who refers to its generators, which does not find what is frozen below.
+import hypothesis
 import pytest
 import typer.main
 
 from tests.parts import PARTS, part_of
+
+# No test fails because a machine is busy.
+hypothesis.settings.register_profile("untimed", deadline=None)
+hypothesis.settings.load_profile("untimed")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
