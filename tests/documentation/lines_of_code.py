@@ -62,7 +62,6 @@ NOT_HERE: Final = (
     (r"reproduce .*ROOT", "a file of expected values"),
     (r"my_package|--model vad-served", "a planner of your own"),
     (r"^python (bench/|-m (bench|tests))", "a checkout to change, or an hour of measuring"),
-    (r"--records out/drives", "drives of an earlier command"),
 )
 """Lines that run nowhere in the tests, and what they need."""
 
