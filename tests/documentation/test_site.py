@@ -80,6 +80,8 @@ def test_names_of_pages_become_links_from_wherever_they_stand() -> None:
     badge = "[![test](../../actions/workflows/test.yml/badge.svg)](../../actions/workflows/test.yml)\n"
     assert on_the_site(f"# Name\n\n{badge}\nText.", ROOT / "README.md", "index.md") == "# Name\n\nText."
     assert on_the_site("[a](records.md#rows)", docs / "severity.md", "severity.md") == "[a](records.md#rows)"
+    script = "[script](examples/torch_planner.py)"
+    assert on_the_site(script, ROOT / "README.md", "index.md") == "`examples/torch_planner.py`"
     assert on_the_site("`nothing.md` `docs/`", docs / "data.md", "data.md") == "`nothing.md` `docs/`"
     block = "```\ncat `docs/data.md`\n```"
     assert on_the_site(block, docs / "data.md", "data.md") == block
