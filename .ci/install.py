@@ -13,7 +13,6 @@ import signal
 import subprocess
 import sys
 import threading
-import urllib.error
 import urllib.request
 from pathlib import Path
 
@@ -92,14 +91,19 @@ def install_torch(environment: Path, index: str, pinned: str) -> None:
         )
 
 
+def stop_waiting(_signal: int, _frame: object) -> None:
+    """End the attempt to reach an index; Ctrl-C stays what it is."""
+    raise TimeoutError
+
+
 def answers(address: str) -> bool:
     """Whether an index answers in time."""
-    signal.signal(signal.SIGALRM, signal.default_int_handler)
+    signal.signal(signal.SIGALRM, stop_waiting)
     signal.alarm(ANSWER_S)
     try:
         with urllib.request.urlopen(address, timeout=ANSWER_S):
             return True
-    except (OSError, ValueError, urllib.error.URLError, KeyboardInterrupt):
+    except (OSError, ValueError):
         return False
     finally:
         signal.alarm(0)

@@ -146,19 +146,24 @@ def _list_film_commands(
     """Command lines that show the planner in a scene, one after the other: a sheet is drawn first if there is none."""
     from benchmark.machine.extension import AbsentExtensionError, import_from_extension
 
-    again = f"--split {options.split}{repeat_data_options(options)} --scenes {quote(scene)}"
-    first = [] if options.drives or _has_sheet(scene, record, options) else [f"challenger-bench sheets {again}"]
+    drawn = options.drives or _has_sheet(scene, record, options)
+    first = [] if drawn else [f"challenger-bench sheets {_name_scene(scene, options)}"]
     try:
         import_from_extension("command", "film")
     except AbsentExtensionError:
         # The site plays it.
         return [*first, f"challenger-bench leaderboard{repeat_out_option(options.out)}"]
-    again = f"--split {options.split}{repeat_data_options(replace(options, categories=None))} --scenes {quote(scene)}"
+    again = _name_scene(scene, replace(options, categories=None))
     film = f"challenger-bench film{' --drives' if options.drives else ''} {again} --model {quote(record.planner)}"
     film += f" --records {quote(str(record.directory))}" if several else ""
     # Without PyAV an animated WebP, with frames for a minute at most.
     film += "" if find_spec("av") else " --format webp --fps 6"
     return [*first, f"{film} --to films"]
+
+
+def _name_scene(scene: str, options: FailuresOptions) -> str:
+    """Options that name a scene of the split."""
+    return f"--split {options.split}{repeat_data_options(options)} --scenes {quote(scene)}"
 
 
 def _has_sheet(scene: str, record: "RunRecord | DriveRecord", options: FailuresOptions) -> bool:

@@ -89,12 +89,13 @@ def suggest_leaderboard(out: Path, *made: Path, records: Collection[str] = ()) -
 
     Without any it must be newer than the files that were ``made`` now.
     """
-    folder, missing = out / "leaderboard", set(records)
-    for path in folder.rglob("*.json") if records else ():
-        if missing and "site" not in path.relative_to(folder).parts:
-            text = path.read_text()
-            missing = {content_id for content_id in missing if content_id not in text}
-    current = not missing if records else is_newer(folder / "README.md", made)
+    folder = out / "leaderboard"
+    if records:
+        tables = folder / "tables.json"
+        written = tables.read_text() if tables.is_file() else ""
+        current = all(content_id in written for content_id in records)
+    else:
+        current = is_newer(folder / "README.md", made)
     step = (f"leaderboard{repeat_out_option(out)}", "write tables, figures and a site of all records")
     return None if current else step
 

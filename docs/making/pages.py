@@ -73,8 +73,9 @@ def on_the_site(text: str, source: Path, address: str) -> str:
         target = address_of(name, source)
         if target is None and name.startswith("docs/"):
             target = name.removeprefix("docs/")
-        if target is None and before.startswith("[") and name.startswith("examples/"):
-            # The site has no scripts: their names stay.
+        beside = (source.parent / name).resolve()
+        if target is None and beside.is_file() and ROOT / "docs" not in beside.parents:
+            # The site has no such file: its name stays.
             return f"`{name}`"
         return f"{before}{_relative(target, address)}{after}" if target else link.group()
 

@@ -1,5 +1,6 @@
 """Failures of one planner for people: its worst scenes, its worst samples or drives, and where there is no plan."""
 
+from collections.abc import Sequence
 from typing import Final
 
 from benchmark.metrics.failures import Crash, FailedScene, Failure, Failures
@@ -31,7 +32,7 @@ def describe_failures(failures: Failures) -> str:
     counted, scenes = pluralise(failures.counted, unit), pluralise(failures.scenes_counted, "scene")
     words = f"no failure in {counted} of {scenes}"
     if found:
-        adversary, at_fault = (sum(flags) for flags in zip(*(_flags(failure) for failure in found)))
+        adversary, at_fault = _count(found)
         words = (
             f"{len(found)} of {counted} {verb}, in {len(failures.scenes)} of {scenes}; {adversary} with the adversary, "
             f"{at_fault} at the planner's fault"
@@ -65,12 +66,13 @@ def _title(what: str, shown: int, found: int) -> str:
     return f"{what} ({shown} of {found})" if shown < found else f"{what} ({found})"
 
 
-def _flags(failure: Failure) -> tuple[bool, bool]:
-    return failure.adversary is True, failure.at_fault is True
+def _count(failures: Sequence[Failure]) -> tuple[int, int]:
+    """How many are with the adversary, and how many at the planner's fault."""
+    return sum(each.adversary is True for each in failures), sum(each.at_fault is True for each in failures)
 
 
 def _scene_row(scene: FailedScene) -> tuple[str, ...]:
-    adversary, at_fault = (sum(flags) for flags in zip(*(_flags(failure) for failure in scene.failures)))
+    adversary, at_fault = _count(scene.failures)
     return (
         scene.scene,
         str(scene.failures[0].index),
