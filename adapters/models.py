@@ -80,6 +80,7 @@ class Model:
         wants: Inputs of its plans that a data set may lack.
         requires: Raises `InputError` where a package is absent that it needs.
         extra_package: Import name of the package that the extra installs.
+        draws: Seeds that its rates are the mean of (``data stats --traffic``); a run with one of them says little.
     """
 
     name: str
@@ -94,6 +95,7 @@ class Model:
     requires: str | None = None
     extra: str = ""
     extra_package: str = ""
+    draws: int = 1
 
     @property
     def blind(self) -> bool:
@@ -250,6 +252,12 @@ _BASELINES: Final = (
         "adapters.planners.constant_velocity_on_path:ConstantVelocityOnPath",
         wants=("motion",),
         sees="own motion, recorded path",
+    ),
+    *(
+        Model(
+            name, f"adapters.planners.noisy_log:{kind}", wants=("motion",), sees="own motion, recorded future", draws=40
+        )
+        for name, kind in (("noisy-log", "NoisyLog"), ("noisy-log-published", "PublishedNoisyLog"))
     ),
 )
 _PUBLISHED: Final = (

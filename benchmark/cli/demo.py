@@ -94,7 +94,9 @@ def _evaluate_built_in(dataset: "DataSet", split: str, out: Path, processes: int
     from adapters.registry import planner_factory
     from benchmark.evaluation import EvalSettings, evaluate_together
 
-    planners, runs = (*baselines(), *miniatures()), api.workspace(out).run_root()
+    # One run of a planner whose rates are means over seeds would say little.
+    single = [name for name, model in baselines().items() if model.draws == 1]
+    planners, runs = (*single, *miniatures()), api.workspace(out).run_root()
     api.notify(f"{pluralise(len(planners), 'planner')} on {split}: {', '.join(planners)}")
     settings = EvalSettings(workers=processes, timings=api.workspace(out).timings_of(runs))
     return evaluate_together(dataset, split, [(planner_factory(name), settings) for name in planners], runs)

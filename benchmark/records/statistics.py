@@ -4,6 +4,7 @@ from typing import Annotated, Any, Final
 
 from pydantic import BaseModel, ConfigDict, Field, field_serializer, field_validator
 
+from benchmark.metrics.rates import Rate
 from benchmark.published import ADV_NUSC
 from benchmark.records.scene_assessment import DriverName, SceneAssessment, SplitRealism, Text
 from benchmark.records.stored import Stored
@@ -174,3 +175,35 @@ class SplitAssessment(Stored):
     severity: tuple[SeverityRow, ...]
     contacts: Count
     realism: SplitRealism
+
+
+class TrafficFigure(Stored):
+    """One figure of a data set's traffic (``docs/traffic.md``).
+
+    ``value`` is over all samples that have it, ``samples`` of them, and ``scenes`` has it by scene; ``None`` where no
+    sample has it. Shares are 0 to 1.
+    """
+
+    value: float | None
+    samples: Count
+    scenes: dict[str, float | None]
+
+
+class PlannerTraffic(Stored):
+    """A planner on a data set under ``exact``, over so many seeds (``draws``).
+
+    ``collision`` and ``l2`` are by horizon, ``scenes`` the rate of collision within 3 s by scene.
+    """
+
+    draws: Count
+    collision: dict[str, Rate]
+    l2: dict[str, Rate]
+    scenes: dict[str, float | None]
+
+
+class TrafficStatistics(Stored):
+    """What ``data stats --traffic`` measures, by name; scenes of a single frame are ``not_measured``."""
+
+    figures: dict[str, TrafficFigure]
+    planners: dict[str, PlannerTraffic]
+    not_measured: tuple[Text, ...] = ()

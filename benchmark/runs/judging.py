@@ -173,7 +173,7 @@ def _planned_samples(
     plans = [plan.judged for plan in full_plans]
     in_lidar = _in_lidar(plans, truths)
     outcomes = {
-        name: _mask_unknown(
+        name: mask_unknown(
             _mask_other_rates(find_protocol(name), find_protocol(name).evaluate(truths, in_lidar), truths),
             truths,
             told=name not in unjudged,
@@ -255,7 +255,7 @@ def _mask_other_rates(
     return replace(outcomes, counted=outcomes.counted & at_two_hz)
 
 
-def _mask_unknown(outcomes: ProtocolOutcomes, truths: Sequence[SampleTruth], *, told: bool) -> ProtocolOutcomes:
+def mask_unknown(outcomes: ProtocolOutcomes, truths: Sequence[SampleTruth], *, told: bool) -> ProtocolOutcomes:
     """Verdicts that say of which samples nothing is known of contacts: of all where categories do not tell."""
     known = np.array([truth.labelled and told for truth in truths], np.bool_)
     return outcomes if known.all() else replace(outcomes, known=known)

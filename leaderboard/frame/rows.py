@@ -25,7 +25,16 @@ OLDER_WORDS = (
 )
 MINIATURE_NOTE = f"{MINIATURE_WORDS} (docs/miniatures.md)."
 BASELINES: Final = frozenset(
-    ("constant-velocity", "constant-velocity-on-path", "ego-status", "idm", "log-replay", "stop")
+    (
+        "constant-velocity",
+        "constant-velocity-on-path",
+        "ego-status",
+        "idm",
+        "log-replay",
+        "noisy-log",
+        "noisy-log-published",
+        "stop",
+    )
 )
 """Planners that show what numbers mean and are no candidates; tests compare them with the planners of `adapters`."""
 OFF_SCALE: Final = "stop"
