@@ -166,6 +166,12 @@ def baselines() -> dict[str, Model]:
     return _select_models(lambda model: model.network is None)
 
 
+def build_baseline(name: str, *, seed: int = 0) -> Any:
+    """A planner of `baselines` by name; the seed is for one that draws."""
+    model = MODELS[name]
+    return resolve(model.planner)(**({"seed": seed} if model.draws > 1 else {}))
+
+
 def published_model(name: str) -> Model:
     """A network with published weights by name; raises `InputError` if there is none."""
     known = published_models()

@@ -35,6 +35,7 @@ from benchmark.api.opening import (
     schematic_renderer as schematic_renderer,
 )
 from benchmark.api.planners import load_planner as load_planner
+from benchmark.api.planners import measure_traffic as measure_traffic
 from benchmark.api.planners import planner_under_test as planner_under_test
 from benchmark.api.presentation import (
     stale_leaderboard as stale_leaderboard,

@@ -1,8 +1,8 @@
 """``noisy-log``: the recording with the error of a planner of published accuracy; measures how forgiving traffic is.
 
 The waypoint at t seconds is the recorded pose plus s(v) (t / 3 s)^1.5 (along z1, across z2) in the recorded heading
-there, with s(v) = min(1, 0.2 + v / 6 m/s) of the present speed v. One pair z a plan, standard normal, by seed and sample
-token. Its rates are means over 40 seeds (`adapters.models`); one run is one draw.
+there, with s(v) = min(1, 0.2 + v / 6 m/s) of the present speed v. One pair z a plan, standard normal, by seed and
+sample token. Its rates are means over 40 seeds (`adapters.models`); one run is one draw.
 """
 
 from typing import Final

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from adapters.registry import NamedPlanner
+    from benchmark.datasets.roots import DataSet
+    from benchmark.records.statistics import TrafficStatistics
     from benchmark.sandbox.limits import SandboxLimits
     from generation.pipeline.surrogate import PlannerUnderTest
 
@@ -278,3 +280,28 @@ def require_devices(names: str) -> None:
 
     for name in parse_device_names(names):
         require_device(name)
+
+
+def measure_traffic(
+    data: "DataSet", split: str | None = None, *, recordings: "DataSet | None" = None, workers: int = 0
+) -> "TrafficStatistics":
+    """Traffic around the recorded ego, and what planners without images collide in (docs/data.md).
+
+    Args:
+        data: The data set.
+        split: One of its splits; all of its scenes by default.
+        recordings: What its scenes were made from, for data sets that do not name their adversaries.
+        workers: Processes; 0 takes all processors.
+
+    Returns:
+        Figures over all samples and by scene, and rates under ``exact``.
+
+    Raises:
+        InputError: If there is no such split, or a scene is broken.
+    """
+    from adapters.models import baselines, build_baseline
+    from benchmark.fairness.traffic import measure_scenes
+
+    draws = {name: model.draws for name, model in baselines().items()}
+    names = data.scene_names(split)
+    return measure_scenes(data, names, draws, build_baseline, workers=worker_count(workers), recordings=recordings)

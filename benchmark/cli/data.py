@@ -17,7 +17,7 @@ from benchmark.report.words import pluralise
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
-    from benchmark.records.statistics import SplitAssessment
+    from benchmark.records.statistics import SplitAssessment, TrafficStatistics
 
 app = typer.Typer(
     cls=FullSummaryGroup,
@@ -79,6 +79,9 @@ class DataStatsOptions:
             names="--judge/--no-judge",
         ),
     ] = None
+    traffic: Annotated[
+        bool, Option("Measure headways, motion, road users, and in what planners without images collide.", "Output")
+    ] = False
     out: shared.Out = api.OUT
     tables: shared.Tables = None
     workers: shared.Workers = 0
@@ -102,15 +105,19 @@ def data_stats_command(options: DataStatsOptions) -> None:
         root = (data.open() if options.split is None else data.open_split(options.split)).root
     numbers = statistics(root, split=options.split, version=options.tables)
     judged = None if options.judge is False else _assess_scenes(root, options, recordings)
+    traffic = _measure_traffic(root, options, recordings) if options.traffic else None
     if options.json_output:
-        assessment_json = None if judged is None else judged.model_dump(mode="json")
-        print_json({**numbers.as_json(), "judgement": assessment_json})
+        parts = {"judgement": judged, "traffic": traffic}
+        dumped = {name: None if part is None else part.model_dump(mode="json") for name, part in parts.items()}
+        print_json({**numbers.as_json(), **dumped})
         return
+    from benchmark.fairness.assessment_tables import format_assessment, format_traffic
+
     typer.echo(numbers.plain())
     if judged is not None:
-        from benchmark.fairness.assessment_tables import format_assessment
-
         typer.echo("\n" + format_assessment(judged), nl=False)
+    if traffic is not None:
+        typer.echo("\n" + format_traffic(traffic), nl=False)
 
 
 def _assess_scenes(
@@ -128,6 +135,15 @@ def _assess_scenes(
         return None
     base = None if recordings is None else recordings.open()
     return judge_split(data, names, LocalProcesses(api.worker_count(options.workers)), base)
+
+
+def _measure_traffic(root: Path, options: DataStatsOptions, recordings: api.DataSource | None) -> "TrafficStatistics":
+    from benchmark.datasets.roots import open_data
+    from benchmark.datasets.schema import FaultList
+
+    data = open_data(root, version=options.tables, rates=FaultList())
+    base = None if recordings is None else recordings.open()
+    return api.measure_traffic(data, options.split, recordings=base, workers=options.workers)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

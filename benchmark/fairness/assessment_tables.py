@@ -1,7 +1,9 @@
 """Assessment of a split, as text tables."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
+
+import numpy as np
 
 from benchmark.records.scene_assessment import (
     DRIVER_NAMES,
@@ -11,7 +13,7 @@ from benchmark.records.scene_assessment import (
     SplitRealism,
     is_unsolvable,
 )
-from benchmark.records.statistics import SplitAssessment
+from benchmark.records.statistics import SplitAssessment, TrafficStatistics
 from benchmark.report.table import Table, build_table
 from benchmark.report.words import spell_name
 
@@ -36,6 +38,79 @@ def format_assessment(judged: SplitAssessment) -> str:
     if judged.realism.not_compared is not None:
         blocks.append(f"Realism: not compared; {judged.realism.not_compared}.\n")
     return "\n".join(blocks)
+
+
+TRAFFIC_LABELS: Final = {
+    "leader_within_1_s": ("leader within 1 s, %", 100.0, 1),
+    "leader_within_3_s": ("leader within 3 s, %", 100.0, 1),
+    "leader_headway_s": ("leader, median up to 4 s, s", 1.0, 2),
+    "follower_within_1_s": ("follower within 1 s, %", 100.0, 1),
+    "follower_within_3_s": ("follower within 3 s, %", 100.0, 1),
+    "follower_headway_s": ("follower, median up to 4 s, s", 1.0, 2),
+    "speed_m_s": ("speed, m/s", 1.0, 1),
+    "acceleration_m_s2": ("acceleration, m/s^2", 1.0, 2),
+    "curvature_1_m": ("curvature, 1/km", 1000.0, 1),
+    "standing": ("ego stands, %", 100.0, 1),
+    "turning": ("ego turns, %", 100.0, 1),
+    "junction": ("at a junction, %", 100.0, 1),
+    "road_users": ("road users within 30 m", 1.0, 1),
+    "pedestrians": ("pedestrians among them", 1.0, 1),
+    "parked": ("vehicles that are parked, %", 100.0, 1),
+    "oncoming": ("with oncoming traffic, %", 100.0, 1),
+    "crossing": ("with crossing traffic, %", 100.0, 1),
+    "hidden": ("road users hidden, %", 100.0, 1),
+    "adversary_within_2_m": ("adversary within 2 m, %", 100.0, 1),
+    "adversary_within_5_m": ("adversary within 5 m, %", 100.0, 1),
+}
+"""Of figures of `TrafficStatistics`: label, scale and digits."""
+_BY_SCENE: Final = {"least": 0.0, "25 %": 0.25, "median": 0.5, "75 %": 0.75, "most": 1.0}
+
+
+def build_traffic_tables(traffic: TrafficStatistics) -> list[Table]:
+    """Figures of traffic and rates of planners, over all samples, and their quantiles over scenes."""
+    figures = [
+        (label, _scaled(figure.value, scale, digits), str(figure.samples), *_by_scene(figure.scenes, scale, digits))
+        for name, (label, scale, digits) in TRAFFIC_LABELS.items()
+        if (figure := traffic.figures.get(name)) is not None
+    ]
+    notes = [
+        "Quantiles are over the values of scenes.",
+        *([f"A single frame: {', '.join(traffic.not_measured)}."] if traffic.not_measured else []),
+    ]
+    planners = [
+        (
+            name,
+            str(planner.draws),
+            *(_scaled(rate.value, 100.0, 2) for rate in planner.collision.values()),
+            _scaled(planner.l2["3s"].value, 1.0, 2),
+            *_by_scene(planner.scenes, 100.0, 1),
+        )
+        for name, planner in traffic.planners.items()
+    ]
+    columns = ("planner", "seeds", *(next(iter(traffic.planners.values())).collision if planners else ()), "L2 3s, m")
+    return [
+        build_table("", "Traffic by sample", ("", "all", "samples", *_BY_SCENE), figures, notes=notes),
+        build_table(
+            "",
+            "Samples in which planners without images collide, exact, %; by scene within 3 s",
+            (*columns, *_BY_SCENE),
+            planners,
+        ),
+    ]
+
+
+def format_traffic(traffic: TrafficStatistics) -> str:
+    """The tables of traffic for a terminal."""
+    return "\n".join(table.plain() for table in build_traffic_tables(traffic))
+
+
+def _by_scene(scenes: Mapping[str, float | None], scale: float, digits: int) -> list[str]:
+    values = [value for value in scenes.values() if value is not None]
+    return [_scaled(float(np.quantile(values, at)) if values else None, scale, digits) for at in _BY_SCENE.values()]
+
+
+def _scaled(value: float | None, scale: float, digits: int) -> str:
+    return _number(None if value is None else scale * value, digits)
 
 
 def _build_scene_table(judged: SplitAssessment) -> Table:

@@ -1,6 +1,6 @@
 """Traffic of a data set around its recorded ego: headways, own motion, road users, and what blind planners collide in.
 
-Everything is measured at key frames, on tracks that are linear between the annotations (``docs/traffic.md``).
+Everything is measured at key frames, on tracks that are linear between the annotations (``docs/data.md``).
 """
 
 import contextlib
@@ -21,11 +21,11 @@ from benchmark.interactions.driver_simulation import find_visible
 from benchmark.interactions.tracks import STEP_S, ContinuousTracks
 from benchmark.machine.workers import LocalProcesses
 from benchmark.metrics.places import PlaceKind, read_sample_contexts
-from benchmark.metrics.rates import HORIZONS, Rate, SceneSums, compute_ratios_of_sums, rates
+from benchmark.metrics.rates import HORIZONS, SceneSums, append_average, compute_ratios_of_sums
 from benchmark.pdm.definition import ACCELERATION
 from benchmark.pdm.recorded_scene import estimate_motion
 from benchmark.planning import Command, Observation, Plan, Planner, PrivilegedPlanner, SceneInfo
-from benchmark.protocols import find_protocol
+from benchmark.protocols import compute_published_values, find_protocol
 from benchmark.records.statistics import PlannerTraffic, TrafficFigure, TrafficStatistics
 from benchmark.runs.judging import mask_unknown
 from benchmark.runs.plan_rows import FAILURES
@@ -51,6 +51,8 @@ _SAMPLES_AT_ONCE: Final = 64
 MEDIANS: Final = ("leader_headway_s", "follower_headway_s")
 """Figures that are medians over samples; all others are means, or shares of one."""
 
+COLUMNS: Final = ("collision", "l2")
+_AT_END: Final = HORIZONS.index("3s")
 DIGITS: Final = 6
 """Of figures: below them, processors differ."""
 
@@ -62,10 +64,10 @@ MakePlanner = Callable[..., Planner]
 
 @dataclass(frozen=True, slots=True)
 class SceneTraffic:
-    """Figures of a scene by name, and the published numbers of each planner over all of its seeds."""
+    """Figures of a scene by name; of each planner numerators and denominators over all its seeds, (4,) by horizon."""
 
     figures: Mapping[str, Values]
-    rates: Mapping[str, Mapping[str, Mapping[str, Rate]]]
+    planners: Mapping[str, Mapping[str, Values]]
 
 
 def measure_headways(tracks: ContinuousTracks, times: Floats) -> tuple[Floats, Floats]:
@@ -207,15 +209,25 @@ def measure_scene(
     scene = read_adversarial_scene(data, name, recordings)
     if len(scene.timestamps_us) < 2:
         return SceneTraffic({}, {})
-    truths, observations, definition = data.truth(name), list(data.observations(name)), find_protocol("exact")
-    columns = {}
-    for called, seeds in planners.items():
-        planned = [one for planner in seeds for one in _plan(scene, observations, planner)]
-        told = [truths[index] for index, _ in planned]
-        in_lidar = np.array([plan.waypoints_in_lidar(scene.lidar.translation[0]) for _, plan in planned])
-        outcomes = mask_unknown(definition.evaluate(told, in_lidar), told, told=True)
-        columns[called] = rates(definition, outcomes, [name] * len(told))
-    return SceneTraffic(measure_figures(scene, truths), columns)
+    truths, observations = data.truth(name), list(data.observations(name))
+    judged = {
+        called: _judge(truths, [one for planner in seeds for one in _plan(scene, observations, planner)])
+        for called, seeds in planners.items()
+    }
+    return SceneTraffic(measure_figures(scene, truths), judged)
+
+
+def _judge(truths: Sequence[SampleTruth], planned: Sequence[tuple[int, Plan]]) -> dict[str, Values]:
+    """Numerators and denominators of rates and displacements, as `benchmark.metrics.rates.rates` makes them."""
+    told, definition = [truths[index] for index, _ in planned], find_protocol("exact")
+    plans = np.array([plan.waypoints_in_lidar(truth.lidar_ahead_m) for (_, plan), truth in zip(planned, told)])
+    outcomes = mask_unknown(definition.evaluate(told, plans), told, told=True)
+    published, sums = compute_published_values(definition, outcomes), {}
+    for column in COLUMNS:
+        values = append_average(published[column])
+        known = ~np.isnan(values) & outcomes.counted[:, None]
+        sums[column] = np.where(known, values, 0.0).sum(axis=0), known.sum(axis=0).astype(np.float64)
+    return sums
 
 
 def _plan(scene: Scene, observations: Sequence[Observation], planner: Planner) -> Iterator[tuple[int, Plan]]:
@@ -228,7 +240,7 @@ def _plan(scene: Scene, observations: Sequence[Observation], planner: Planner) -
             yield index, planner.plan(observation).judged
 
 
-def measure_traffic(
+def measure_scenes(
     data: DataSet,
     names: Sequence[str],
     planners: Mapping[str, int],
@@ -287,14 +299,14 @@ def _compute_figure(name: str, top: Floats, under: Floats) -> float | None:
 
 def _summarise_planner(name: str, draws: int, scenes: Mapping[str, SceneTraffic]) -> PlannerTraffic:
     columns = {}
-    for column in ("collision", "l2"):
-        of_scenes = [[traffic.rates[name][column][horizon] for horizon in HORIZONS] for traffic in scenes.values()]
-        top, under = (
-            np.array([[getattr(rate, part) for rate in row] for row in of_scenes], np.float64)
-            for part in ("numerator", "denominator")
-        )
-        columns[column] = dict(zip(HORIZONS, compute_ratios_of_sums(SceneSums(tuple(scenes), top, under), seed=0)))
-    at_end = {scene: traffic.rates[name]["collision"]["3s"].value for scene, traffic in scenes.items()}
+    for column in COLUMNS:
+        top, under = (np.array(part) for part in zip(*(scene.planners[name][column] for scene in scenes.values())))
+        sums = SceneSums(tuple(scenes), top, under)
+        columns[column] = dict(zip(HORIZONS, compute_ratios_of_sums(sums, seed=0)))
+    hits = {scene: traffic.planners[name]["collision"] for scene, traffic in scenes.items()}
+    at_end = {
+        scene: float(top[_AT_END] / under[_AT_END]) if under[_AT_END] else None for scene, (top, under) in hits.items()
+    }
     return PlannerTraffic(draws=draws, scenes=at_end, **columns)
 
 

@@ -178,7 +178,7 @@ class SplitAssessment(Stored):
 
 
 class TrafficFigure(Stored):
-    """One figure of a data set's traffic (``docs/traffic.md``).
+    """One figure of a data set's traffic (``docs/data.md``).
 
     ``value`` is over all samples that have it, ``samples`` of them, and ``scenes`` has it by scene; ``None`` where no
     sample has it. Shares are 0 to 1.
