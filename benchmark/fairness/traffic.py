@@ -81,7 +81,7 @@ def measure_headways(tracks: ContinuousTracks, times: Floats) -> tuple[Floats, F
         (K,) seconds until the ego, on its recorded path, overlaps the place where a vehicle stands now; and (K,)
         seconds until a vehicle overlaps the place where the ego stands now.
     """
-    vehicles = tracks.only([row for row, name in enumerate(tracks.categories) if name.startswith("vehicle.")])
+    vehicles = tracks.only(_are_of(tracks, "vehicle."))
     batches = [times[first : first + _SAMPLES_AT_ONCE] for first in range(0, len(times), _SAMPLES_AT_ONCE)]
     found = [_measure_batch(vehicles, batch) for batch in batches]
     leader, follower = (np.concatenate([np.empty(0), *parts]) for parts in zip(*found)) if found else ([], [])
@@ -156,8 +156,8 @@ def _measure_own_motion(scene: Scene, tracks: ContinuousTracks, times: Floats) -
 
 def _measure_around(tracks: ContinuousTracks, times: Floats) -> dict[str, Values]:
     """Figures of the road users within 30 m."""
-    users = tracks.only([row for row, name in enumerate(tracks.categories) if name.startswith(("vehicle.", "human."))])
-    vehicles = np.array([name.startswith("vehicle.") for name in users.categories], np.bool_)[:, None]
+    users = tracks.only(_are_of(tracks, "vehicle.", "human."))
+    vehicles = _are_of(users, "vehicle.")[:, None]
     (boxes, present), ego = users.agents_at(times), users.ego_at(times)
     near = present & (np.hypot(*np.moveaxis(boxes[..., :2] - ego[:, :2], -1, 0)) <= NEAR_M)
     velocity = users.velocities_at(times)
@@ -176,6 +176,11 @@ def _measure_around(tracks: ContinuousTracks, times: Floats) -> dict[str, Values
         "crossing": _share((driving & (turned > CROSSING_RAD) & (turned <= ONCOMING_RAD)).any(axis=0), everywhere),
         "hidden": (hidden.astype(np.float64), near.sum(axis=0).astype(np.float64)),
     }
+
+
+def _are_of(tracks: ContinuousTracks, *kinds: str) -> Bools:
+    """(N,) whose category begins so."""
+    return np.array([name.startswith(kinds) for name in tracks.categories], np.bool_)
 
 
 def _find_parked(tracks: ContinuousTracks) -> Bools:

@@ -17,7 +17,7 @@ def test_every_built_in_planner_is_built_under_its_own_name() -> None:
     for name in baselines():
         assert build_planner(name).name == name
     privileged = {name for name in baselines() if isinstance(build_planner(name), PrivilegedPlanner)}
-    assert privileged == {"log-replay", "idm", "constant-velocity-on-path"}
+    assert privileged == {*("log-replay", "idm", "constant-velocity-on-path", "noisy-log", "noisy-log-published")}
 
 
 def test_a_strangers_class_gets_the_arguments_it_takes(tmp_path: Path) -> None:

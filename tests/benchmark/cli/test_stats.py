@@ -56,3 +56,17 @@ def test_recordings_that_are_given_stand_beside(root: Path, tmp_path: Path) -> N
     plan = write_root(tmp_path / "val", [scene], version="v1.0-mini", renderer=None)
     said = json.loads(run_here("data", "stats", root, "--recordings", plan.root, "--json").out)["judgement"]
     assert {row["of"] for row in said["ladder_of_recordings"]} == {1}
+
+
+def test_traffic_is_measured_when_asked_and_the_adversary_counted(root: Path) -> None:
+    said = run_here("data", "stats", root, "--no-judge", "--traffic", "--workers", "1")
+    assert said.code == 0 and "Traffic by sample" in said.out and "adversary within 5 m, %" in said.out
+    assert "noisy-log-published" in said.out and all(len(line) <= 80 for line in said.out.splitlines()[2:])
+    found = json.loads(run_here("data", "stats", root, "--no-judge", "--traffic", "--json", "--workers", "1").out)
+    figures, planners = found["traffic"]["figures"], found["traffic"]["planners"]
+    assert set(figures["speed_m_s"]["scenes"]) == {"scene-0001-aa", "scene-0002"}
+    assert set(figures["adversary_within_2_m"]["scenes"]) == {"scene-0001-aa"}
+    assert planners["noisy-log"]["draws"] == 40 and planners["stop"]["collision"]["3s"]["value"] is not None
+    split = ("--split", "adv", "--no-judge", "--traffic", "--json", "--workers", "1")
+    assert set(json.loads(run_here("data", "stats", root, *split).out)["traffic"]["figures"]) == set(figures)
+    assert json.loads(run_here("data", "stats", root, "--no-judge", "--json").out)["traffic"] is None
