@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from adapters.models import baselines
 from adapters.registry import planner_factory
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.evaluation import EvalSettings, evaluate_together
@@ -24,7 +25,7 @@ from benchmark.untrusted.plan_plausibility import (
 from tests.benchmark.edited_roots import small_town
 from tests.benchmark.untrusted.misread import AHEAD_M, FRAMES, MISREAD
 
-BLIND = ("constant-velocity", "constant-velocity-on-path", "ego-status", "idm", "log-replay", "stop")
+BLIND = tuple(baselines())
 SCENES = 3
 
 
