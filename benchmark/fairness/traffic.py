@@ -274,7 +274,8 @@ def measure_scenes(
     if workers == 1 or len(names) < 2:
         work = partial(measure_scene, data, recordings, _build(make, seeds))
     else:
-        work = partial(_measure_elsewhere, _Place.of(data), recordings and _Place.of(recordings), make, seeds)
+        base = None if recordings is None else _Place.of(recordings)
+        work = partial(_measure_elsewhere, _Place.of(data), base, make, seeds)
     found = LocalProcesses(workers).map(work, names, total=len(names), label="measuring traffic")
     scenes = dict(zip(names, found, strict=True))
     known = {name: scene for name, scene in scenes.items() if scene.figures}
