@@ -4,7 +4,7 @@ Everything is measured at key frames, on tracks that are linear between the anno
 """
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -83,9 +83,8 @@ def measure_headways(tracks: ContinuousTracks, times: Floats) -> tuple[Floats, F
     """
     vehicles = tracks.only(_are_of(tracks, "vehicle."))
     batches = [times[first : first + _SAMPLES_AT_ONCE] for first in range(0, len(times), _SAMPLES_AT_ONCE)]
-    found = [_measure_batch(vehicles, batch) for batch in batches]
-    leader, follower = (np.concatenate([np.empty(0), *parts]) for parts in zip(*found)) if found else ([], [])
-    return np.asarray(leader), np.asarray(follower)
+    leader, follower = zip(*(_measure_batch(vehicles, batch) for batch in batches))
+    return np.concatenate(leader), np.concatenate(follower)
 
 
 def _measure_batch(vehicles: ContinuousTracks, times: Floats) -> tuple[Floats, Floats]:
@@ -235,14 +234,16 @@ def _judge(truths: Sequence[SampleTruth], planned: Sequence[tuple[int, Plan]]) -
     return sums
 
 
-def _plan(scene: Scene, observations: Sequence[Observation], planner: Planner) -> Iterator[tuple[int, Plan]]:
+def _plan(scene: Scene, observations: Sequence[Observation], planner: Planner) -> list[tuple[int, Plan]]:
     """Numbers of the samples that a planner plans for, and plans of 3 s."""
+    planned = []
     planner.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))
     if isinstance(planner, PrivilegedPlanner):
         planner.reveal(scene)
     for index, observation in enumerate(observations):
         with contextlib.suppress(*FAILURES):
-            yield index, planner.plan(observation).judged
+            planned.append((index, planner.plan(observation).judged))
+    return planned
 
 
 def measure_scenes(

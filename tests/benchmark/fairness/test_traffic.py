@@ -181,22 +181,26 @@ def test_scenes_are_measured_alike_by_any_number_of_workers(root: DataSet, traff
 
 
 class Broken:
-    """Plans for every second sample."""
+    """Plans for every so many-th sample."""
 
     name = "broken"
 
+    def __init__(self, every: int) -> None:
+        self.every = every
+
     def reset(self, scene: object) -> None: ...
 
-    def plan(self, observation: object) -> object:
-        if observation.index % 2:  # type: ignore[attr-defined]
+    def plan(self, observation: Any) -> Any:
+        if observation.index % self.every != self.every - 1:
             raise ValueError("no plan")
         return build_baseline("stop").plan(observation)
 
 
-def test_a_sample_without_a_plan_is_no_sample_without_contact(root: DataSet, traffic: Any) -> None:
-    found = measure_scenes(root, root.scene_names(None), {"broken": 1}, lambda name, seed: Broken())  # type: ignore[arg-type, return-value]
-    assert found.planners["broken"].collision["3s"].denominator == 6
-    assert traffic.planners["stop"].collision["3s"].denominator == 12
+@pytest.mark.parametrize(("every", "counted"), [(1, 12), (2, 6), (100, 0)])
+def test_a_sample_without_a_plan_is_no_sample_without_contact(root: DataSet, every: int, counted: int) -> None:
+    found = measure_scenes(root, root.scene_names(None), {"broken": 1}, lambda name, seed: Broken(every))
+    rate = found.planners["broken"].collision["3s"]
+    assert rate.denominator == counted and (rate.value is None) == (counted == 0)
 
 
 def test_a_scene_of_one_frame_is_named_and_nothing_else_changes(root: DataSet, traffic: Any) -> None:
