@@ -127,9 +127,12 @@ def test_auto_finds_the_form_that_a_server_reads(form: str, status: int, capsys:
 
 
 def test_auto_says_what_came_of_both_and_gives_up_on_who_is_no_model_server() -> None:
-    with scripted(lambda path, body: (500, b"no GPU") if path == "/infer" else (200, b"true")) as server:
-        with pytest.raises(ModelFailedError, match=r"no GPU to images as torch; .*no GPU to images as png\)$"):
-            planner(server.url, "auto").plan(observed())
+    says = r"no GPU to images as torch; .*no GPU to images as png\)$"
+    with (
+        scripted(lambda path, body: (500, b"no GPU") if path == "/infer" else (200, b"true")) as server,
+        pytest.raises(ModelFailedError, match=says),
+    ):
+        planner(server.url, "auto").plan(observed())
     for reply, error, paths in (
         ((404, b"<html>"), PlannerGoneError, 1),
         ((503, b"busy"), PlannerLateError, 1),

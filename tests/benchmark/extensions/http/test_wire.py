@@ -178,7 +178,7 @@ UNEVEN = {"objects_in_bev": [[1, 2, 3, 4, 5]], "object_scores": [0.1, 0.2]}
 TAKEN: list[tuple[str, Any, tuple[int, ...]]] = [
     ("nothing beside", {"trajectory": SIX, "aux_outputs": {}}, (6, 2)),
     ("nulls", {"trajectory": SIX, "aux_outputs": {"objects_in_bev": None, "future_trajs": None}}, (6, 2)),
-    ("empty lists", {"trajectory": SIX, "aux_outputs": dict.fromkeys(AUX, [])}, (6, 2)),
+    ("empty lists", {"trajectory": SIX, "aux_outputs": {name: [] for name in AUX}}, (6, 2)),
     ("whole numbers", {"trajectory": [[1, 0]] * 6, "aux_outputs": {}}, (6, 2)),
     ("a third column", {"trajectory": [[1.0, 0.0, 0.1]] * 6, "aux_outputs": {}}, (6, 3)),
     ("four waypoints", {"trajectory": SIX[:4], "aux_outputs": {}}, (4, 2)),
