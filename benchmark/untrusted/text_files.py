@@ -11,7 +11,6 @@ from typing import Any, Final
 from benchmark.errors import InputError
 from benchmark.untrusted.files import JSON, SETTINGS, Limits, format_bytes, open_file, read_file, to_one_line
 
-
 _LONGEST_NUMBER: Final = 200
 """Characters: what is longer takes long to read, and cannot be printed in a message."""
 
