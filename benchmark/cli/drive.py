@@ -24,6 +24,7 @@ from benchmark.cli.output import (
 from benchmark.cli.settings import Option, command, take_options
 from benchmark.cli.splits import choose_splits
 from benchmark.errors import InputError
+from benchmark.machine.address import is_address
 from benchmark.report.words import format_options
 
 if TYPE_CHECKING:
@@ -225,7 +226,8 @@ def _suggest_evaluation(options: DriveOptions, driven: "Mapping[str, DriveRecord
         if record.complete
         and not find_records_of(options.out, record.facts.data.name, options.split, record.facts.planner.name)
     ]
-    given = format_options(split=options.split, model=missing, checkpoint=options.checkpoint)
+    served = {"image_format": options.image_format, "frame": options.frame} if any(map(is_address, missing)) else {}
+    given = format_options(split=options.split, model=missing, checkpoint=options.checkpoint, **served)
     step = (f"eval{given}{repeat_data_options(options)}", "evaluate the same planners in open loop")
     return step if missing else None
 

@@ -7,7 +7,7 @@ import sys
 from typing import Any, Final
 
 from benchmark.extensions.http.answers import ModelAnswer
-from benchmark.extensions.http.connection import ALIVE_S, HttpConnection, HttpReply
+from benchmark.extensions.http.connection import ALIVE_S, HttpConnection, HttpReply, ServerHungUpError
 from benchmark.extensions.http.session import build_request
 from benchmark.extensions.http.values import AUTO, HttpImageFormat, NeuroncapHttpError
 from benchmark.machine.address import Address
@@ -82,32 +82,39 @@ class HttpPlanner:
             raise ModelFailedError(f"{self._who} returned a plan that cannot be driven: {error}") from error
 
     def _ask(self, observation: Observation) -> tuple[HttpReply, ModelAnswer]:
+        """The reply with an answer, in the known form or else in the first in which there is one."""
         forms = list(HttpImageFormat) if self.form is None else [self.form]
         failures: list[str] = []
-        for form in forms:
+        while True:
+            form = forms.pop(0)
             if failures:
                 # A model that failed half-way may remember what it saw.
                 self._reset()
-            reply = self._connection.post("/infer", build_request(observation, form).encoded())
+            try:
+                reply = self._connection.post("/infer", build_request(observation, form).encoded())
+            except ServerHungUpError as error:
+                if forms:
+                    failures.append(f"no answer to images as {form.value}")
+                    continue
+                raise ServerHungUpError(f"{error}{self._advise(form)}") from error
             try:
                 answer = ModelAnswer.read(reply.body)
             except NeuroncapHttpError as error:
                 failure = f"status {reply.status}: {_read_detail(reply)}" if reply.status >= _LEAST_ERROR else error
-                failures.append(f"{failure}" if len(forms) == 1 else f"{failure} to images as {form.value}")
-                if form is not forms[-1] and reply.status not in _BUSY and not reply.is_page:
+                failures.append(f"{failure}" if self.form else f"{failure} to images as {form.value}")
+                if forms and reply.status not in _BUSY and not reply.is_page:
                     continue
                 self._require_server(reply, "/infer")
-                hint = self._advise(reply, form)
+                hint = self._advise(form) if reply.status >= _LEAST_FAILURE else ""
                 raise ModelFailedError(f"{self._who} returned no plan ({'; '.join(failures)}){hint}") from error
             if self.form is None:
                 print(f"{self._who} reads images as {form.value}", file=sys.stderr, flush=True)
             self.form, self._answered = form, True
             return reply, answer
-        raise AssertionError("there is a form")
 
-    def _advise(self, reply: HttpReply, form: HttpImageFormat) -> str:
+    def _advise(self, form: HttpImageFormat) -> str:
         """What else to try with a server that fails before its first plan, as where it cannot read the images."""
-        if self._answered or self.form is None or reply.status < _LEAST_FAILURE:
+        if self._answered or self.form is None:
             return ""
         other = HttpImageFormat.TORCH if form is HttpImageFormat.PNG else HttpImageFormat.PNG
         return f"; if it cannot read images as {form.value}, try --image-format {other.value}, or auto, to try both"

@@ -144,6 +144,22 @@ def test_auto_says_what_came_of_both_and_gives_up_on_who_is_no_model_server() ->
             assert server.paths.count("/infer") == paths
 
 
+def test_a_server_that_hangs_up_on_images_is_asked_in_the_other_form() -> None:
+    """As a server does that is no framework's, and raises."""
+    with scripted(
+        lambda path, body: reads_only("png")(path, body) if b"iVBORw0KGgo" in body or path != "/infer" else None
+    ) as server:
+        one = planner(server.url, "auto")
+        assert one.plan(observed()).waypoints[0, 0] == 1.0 and server.paths == ["/infer", "/reset", "/infer"]
+        with pytest.raises(PlannerAwayError, match=r"hung up.*as torch, try --image-format png, or auto"):
+            planner(server.url, "torch").plan(observed())
+    with (
+        scripted(lambda path, body: None) as server,
+        pytest.raises(PlannerAwayError, match="hung up before answering /reset"),
+    ):
+        planner(server.url, "auto").plan(observed())
+
+
 def test_a_model_that_planned_before_is_not_told_of_images() -> None:
     replies = [(200, GOOD), (500, b"out of memory")]
     with scripted(lambda path, body: replies.pop(0)) as server:
