@@ -126,22 +126,22 @@ def test_auto_finds_the_form_that_a_server_reads(form: str, status: int, capsys:
     assert build_planner_facts(one).settings["image_format"] == "auto"
 
 
-def test_auto_says_what_came_of_both_and_gives_up_on_who_is_no_model_server() -> None:
-    says = r"no GPU to images as torch; .*no GPU to images as png\)$"
-    with (
-        scripted(lambda path, body: (500, b"no GPU") if path == "/infer" else (200, b"true")) as server,
-        pytest.raises(ModelFailedError, match=says),
-    ):
-        planner(server.url, "auto").plan(observed())
-    for reply, error, paths in (
-        ((404, b"<html>"), PlannerGoneError, 1),
-        ((503, b"busy"), PlannerLateError, 1),
-        ((422, b'{"detail": "other members"}'), PlannerGoneError, 2),
-    ):
-        with scripted(lambda path, body, reply=reply: reply if path == "/infer" else (200, b"true")) as server:
-            with pytest.raises(error):
-                planner(server.url, "auto").plan(observed())
-            assert server.paths.count("/infer") == paths
+@pytest.mark.parametrize(
+    ("reply", "error", "says", "asked"),
+    [
+        ((500, b"no GPU"), ModelFailedError, r"no GPU to images as torch; .*no GPU to images as png\)$", 2),
+        ((404, b"<html>"), PlannerGoneError, "a web page", 1),
+        ((503, b"busy"), PlannerLateError, "too busy", 1),
+        ((422, b'{"detail": "other members"}'), PlannerGoneError, "another version", 2),
+    ],
+)
+def test_auto_says_what_came_of_both_and_gives_up_on_who_is_no_model_server(
+    reply: Reply, error: type[Exception], says: str, asked: int
+) -> None:
+    with scripted(lambda path, body: reply if path == "/infer" else (200, b"true")) as server:
+        with pytest.raises(error, match=says):
+            planner(server.url, "auto").plan(observed())
+        assert server.paths.count("/infer") == asked
 
 
 def test_a_server_that_hangs_up_on_images_is_asked_in_the_other_form() -> None:
