@@ -252,6 +252,18 @@ def test_the_command_reads_a_file_and_repeats_it_from_its_record(
     assert gone.code == 2 and "cannot read frontal/0099.yaml" in gone.err
 
 
+def test_the_command_drives_without_a_target_and_again_from_its_record(tmp_path: Path) -> None:
+    source, out = any_command.road(tmp_path / "road"), tmp_path / "out"
+    asked = ("--engine", "neuroncap@code", "--model", "stop", "--no-baselines", "--target", "none")
+    done = any_command.driving(source, out, *asked)
+    assert done.code == 0 and "neuroncap@code, target none" in done.out, done.err
+    (record,) = out.rglob("drive.json")
+    assert json.loads(record.read_text())["measured"]["scenario_facts"] == {"target": "none"}
+    before = bytes_below(out)
+    again = run_here("drive", "--config", record, "--data", source, "--out", out, "--workers", "1")
+    assert again.code == 0 and bytes_below(out) == before, again.err
+
+
 def test_refusals_of_the_command() -> None:
     for words, says in (
         ("--scenarios x.yaml", "needs NeuroNCAP's engine"),
