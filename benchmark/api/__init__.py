@@ -7,6 +7,7 @@ and a missing extra breaks only what needs it.
 from benchmark.api.driving import (
     drive_settings as drive_settings,
     uses_images as uses_images,
+    require_engine as require_engine,
     require_sensor as require_sensor,
 )
 from benchmark.api.opening import (

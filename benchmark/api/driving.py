@@ -41,6 +41,7 @@ def drive_settings(
     accept_torch_tensors: bool = False,
     latency_ms: int = 0,
     scenarios: str = "recorded",
+    target: str = "adversary",
     until: str = "contact",
     runs: int = 1,
     scenes: "Sequence[str] | None" = None,
@@ -68,7 +69,10 @@ def drive_settings(
         sensor: ``none``, ``schematic``, or the address of a renderer's server (docs/extensions/http.md).
         accept_torch_tensors: Whether a renderer's pictures may be saved tensors, which are pickles.
         latency_ms: So much later does a plan take effect; a multiple of 100, 0 in NeuroNCAP's engine.
-        scenarios: In NeuroNCAP's engine: scenes as they are (``recorded``), with ``own`` or ``official`` scenarios.
+        scenarios: In NeuroNCAP's engine: scenes as they are (``recorded``), with ``own`` or ``official`` scenarios, or
+            with that of a scenario file of NeuroNCAP (``FILE.yaml``).
+        target: Of recorded scenes in NeuroNCAP's engine: whose velocity the reference speed of the score is relative
+            to, that of the scene's ``adversary``, or ``none``, as NeuroNCAP has it without a scenario.
         until: What ends a drive before its time: ``contact``, any; ``fault``, one that is the ego's fault, and another
             object that touches it otherwise is gone from the next planning instant on. NeuroNCAP's engine ends at any.
         runs: Runs of each scene; one where nothing is drawn.
@@ -85,11 +89,12 @@ def drive_settings(
         InputError: If there is no such engine, policy or sensor, or they do not go together.
     """
     from benchmark.closed_loop.adversary import ADVERSARY
-    from benchmark.closed_loop.engines import make_backend
+    from benchmark.closed_loop.engines import is_scenario_file, make_backend
     from benchmark.closed_loop.world_state import ENGINE
     from benchmark.interactions.driver_simulation import REFERENCE_DRIVER_KINDS
     from benchmark.machine.extension import import_from_extension
     from benchmark.machine.workers import LocalProcesses
+    from benchmark.records.drive_schema import OF_FILE
     from benchmark.runs.driving import DriveSettings
 
     drivers = [driver.value for driver in REFERENCE_DRIVER_KINDS]
@@ -115,20 +120,32 @@ def drive_settings(
         )
     return DriveSettings(
         engine=engine,
-        maker=make_backend(engine, agents, latency_ms, scenarios, pursuit, until),
+        maker=make_backend(engine, agents, latency_ms, scenarios, pursuit, until, describe_target(target)),
         ladder=tuple(drivers if ladder is None else ladder),
         keep_considered=keep_considered,
         agents=agents,
         sensor=_sensor(sensor, split, tensors=accept_torch_tensors),
         runs=runs,
         latency_ms=latency_ms,
-        scenarios=scenarios,
+        scenarios=OF_FILE if is_scenario_file(scenarios) else scenarios,
         scenes=None if scenes is None else tuple(scenes),
         limit=limit,
         executor=executor or LocalProcesses(),
         timeout_s=timeout_s,
         seed=seed,
     )
+
+
+def describe_target(target: str) -> dict[str, str]:
+    """A target as a record has it: nothing where it is the adversary."""
+    return {} if target == "adversary" else {"target": target}
+
+
+def require_engine(engine: str, scenarios: str, target: str) -> None:
+    """Raise `InputError` for scenarios that an engine of an extension has not, or a file that holds none."""
+    from benchmark.closed_loop.engines import make_backend
+
+    make_backend(engine, scenarios=scenarios, scenario_facts=describe_target(target))
 
 
 def _given_tracks(directory: "Path", split: str) -> "tuple[AdversaryFactory, int]":

@@ -24,6 +24,7 @@ from benchmark.cli.output import (
 from benchmark.cli.settings import Option, command, take_options
 from benchmark.cli.splits import choose_splits
 from benchmark.errors import InputError
+from benchmark.machine.address import is_address
 from benchmark.report.words import format_options
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ class DriveOptions:
     RARE: ClassVar = (
         *("tables", "categories", "adversary_every", "adversary_others", "adversary_rounds", "adversary_candidates"),
         *("adversary_tracks", "keep_considered", "image_format", "frame", "accept_torch_tensors", "scenarios"),
-        *("timeout", "memory_limit", "precision", "address"),
+        *("target", "timeout", "memory_limit", "precision", "address"),
     )
 
     model: shared.Models = ()
@@ -112,9 +113,17 @@ class DriveOptions:
         False
     )
     scenarios: Annotated[
-        Literal["recorded", "own", "official"],
-        Option("neuroncap: scenes as they are, or scenarios put into them.", "Search"),
+        str,
+        Option(
+            "neuroncap: scenes as they are (recorded), or scenarios put into them: own, official, or FILE.yaml of "
+            "NeuroNCAP.",
+            "Search",
+        ),
     ] = "recorded"
+    target: Annotated[
+        Literal["adversary", "none"],
+        Option("neuroncap, recorded scenes: whom the reference speed is relative to; NeuroNCAP has none.", "Search"),
+    ] = "adversary"
     image_format: shared.ImageFormat = None
     frame: shared.PlanFrame = None
     accept_torch_tensors: Annotated[
@@ -217,7 +226,8 @@ def _suggest_evaluation(options: DriveOptions, driven: "Mapping[str, DriveRecord
         if record.complete
         and not find_records_of(options.out, record.facts.data.name, options.split, record.facts.planner.name)
     ]
-    given = format_options(split=options.split, model=missing, checkpoint=options.checkpoint)
+    served = {"image_format": options.image_format, "frame": options.frame} if any(map(is_address, missing)) else {}
+    given = format_options(split=options.split, model=missing, checkpoint=options.checkpoint, **served)
     step = (f"eval{given}{repeat_data_options(options)}", "evaluate the same planners in open loop")
     return step if missing else None
 
@@ -225,8 +235,8 @@ def _suggest_evaluation(options: DriveOptions, driven: "Mapping[str, DriveRecord
 def _settings(options: DriveOptions, scenes: tuple[str, ...] | None, place: "Executor") -> "DriveSettings":
     same = (
         *("engine", "agents", "adversary_knows", "adversary_others", "adversary_rounds", "adversary_candidates"),
-        *("adversary_tracks", "keep_considered", "sensor", "accept_torch_tensors", "scenarios", "until", "runs"),
-        *("limit", "seed"),
+        *("adversary_tracks", "keep_considered", "sensor", "accept_torch_tensors", "scenarios", "target", "until"),
+        *("runs", "limit", "seed"),
     )
     return api.drive_settings(
         options.split,
@@ -253,8 +263,10 @@ def _require_engine(options: DriveOptions) -> None:
             raise InputError(
                 f"every collision ends a run of {engine}; leave --until {options.until} out or use --engine default"
             )
-    elif options.scenarios != "recorded":
-        raise InputError(f"--scenarios {options.scenarios} needs NeuroNCAP's engine; add --engine neuroncap@code")
+        api.require_engine(engine, options.scenarios, options.target)
+    elif (options.scenarios, options.target) != ("recorded", "adversary"):
+        given = f"--target {options.target}" if options.scenarios == "recorded" else f"--scenarios {options.scenarios}"
+        raise InputError(f"{given} needs NeuroNCAP's engine; add --engine neuroncap@code")
     if latency % STEP_MS or latency > LONGEST_LATENCY_MS:
         raise InputError(
             f"--latency {latency} is not a multiple of {STEP_MS} ms up to {LONGEST_LATENCY_MS}: the engine's steps are "

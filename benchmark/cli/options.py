@@ -97,8 +97,8 @@ Executor = Annotated[
 ]
 Address = Annotated[str | None, Option("HOST:PORT of the Ray cluster, or auto.", "Execution")]
 ImageFormat = Annotated[
-    Literal["torch", "png"] | None,
-    Option("How a model at http:// is sent pictures: torch (NeuroNCAP's) or png.", "Planner"),
+    Literal["torch", "png", "auto"] | None,
+    Option("How a model at http:// is sent pictures: torch (NeuroNCAP's), png, or auto, which tries both.", "Planner"),
 ]
 PlanFrame = Annotated[
     Literal["lidar", "ego"] | None,

@@ -34,7 +34,7 @@ def read_drive_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
     if "measured" not in members or "planner" not in members:
         return None
     measured, config = members["measured"], members.get("config", {})
-    facts = measured.get("agents_facts", {})
+    facts, scenario_facts = measured.get("agents_facts", {}), measured.get("scenario_facts", {})
     sensor = measured["sensor"]
     adversary = {"knows": "knows", "every": "every_s", "others": "others", "rounds": "rounds"}
     adversary["candidates"] = "candidates"
@@ -47,7 +47,8 @@ def read_drive_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
         "agents": measured["agents"],
         "sensor": sensor if sensor in ("none", "schematic") else None,
         "latency": measured.get("latency_ms"),
-        "scenarios": measured.get("scenarios"),
+        "scenarios": scenario_facts.get("file", measured.get("scenarios")),
+        "target": scenario_facts.get("target"),
         "until": measured.get("until"),
         "runs": members.get("runs"),
         "timeout": config.get("timeout_s"),

@@ -1,14 +1,15 @@
 """Engines by name: what ``--engine``, ``--agents`` and ``--latency`` mean together."""
 
-from typing import Final, get_args
+from collections.abc import Mapping
+from typing import Any, Final, get_args
 
 from benchmark.closed_loop.adversary import ADVERSARY, AdversaryFactory, ScriptedTracks
 from benchmark.closed_loop.default_engine import AGENTS, DefaultBackend
 from benchmark.closed_loop.simulation_state import SimulatorBackend
 from benchmark.closed_loop.world_state import ENGINE
 from benchmark.errors import InputError, did_you_mean
-from benchmark.machine.extension import call_extension, list_offers
-from benchmark.records.drive_schema import RECORDED, SCENARIOS, ClosedLoopDefinition, StopCondition
+from benchmark.machine.extension import OFFERS, call_extension, list_offers
+from benchmark.records.drive_schema import OF_FILE, RECORDED, SCENARIOS, ClosedLoopDefinition, StopCondition
 
 STOP_CONDITIONS: Final[tuple[StopCondition, ...]] = get_args(StopCondition)
 
@@ -25,12 +26,13 @@ def make_backend(
     scenarios: str = RECORDED,
     adversary: AdversaryFactory | None = None,
     until: str = "contact",
+    scenario_facts: Mapping[str, Any] | None = None,
 ) -> SimulatorBackend:
     """Maker of rides of an engine, one of `list_engines`; refuses what the engine does not have.
 
-    ``latency_ms`` is how much later a plan takes effect; ``scenarios`` count in NeuroNCAP's engine only. Without an
-    adversary factory, only drives with stored tracks begin. ``until``, one of `STOP_CONDITIONS`, ends a drive before
-    its time.
+    ``latency_ms`` is how much later a plan takes effect; ``scenarios``, a name or the path of a file, and their facts,
+    as a record has them, count in NeuroNCAP's engine only. Without an adversary factory, only drives with stored tracks
+    begin. ``until``, one of `STOP_CONDITIONS`, ends a drive before its time.
     """
     engines = list_engines()
     if engine not in engines:
@@ -38,23 +40,36 @@ def make_backend(
     if agents not in AGENTS:
         known = " and ".join([", ".join(AGENTS[:-1]), AGENTS[-1]])
         raise InputError(f"unknown agents {agents!r}; {did_you_mean(agents, AGENTS)}choose from {known}")
-    if scenarios not in SCENARIOS:
-        raise InputError(f"unknown scenarios {scenarios!r}; choose from {', '.join(SCENARIOS)}")
+    facts = dict(scenario_facts or {})
+    if not is_scenario_file(scenarios) and (scenarios not in SCENARIOS or (scenarios == OF_FILE and not facts)):
+        names = [name for name in SCENARIOS if name != OF_FILE]
+        raise InputError(
+            f"unknown scenarios {scenarios!r}; {did_you_mean(scenarios, names)}choose from {', '.join(names)} and "
+            "scenario files of NeuroNCAP (FILE.yaml)"
+        )
     if until not in STOP_CONDITIONS:
         raise InputError(
             f"unknown --until {until!r}; {did_you_mean(until, STOP_CONDITIONS)}there are "
             f"{' and '.join(STOP_CONDITIONS)}"
         )
     if engine == ENGINE:
-        if scenarios != RECORDED:
+        if scenarios != RECORDED or facts:
             raise InputError(f"scenarios need NeuroNCAP's engine; use --engine {engines[1]} or leave --scenarios out")
         return DefaultBackend(agents, 1000 * latency_ms, adversary if agents == ADVERSARY else None, until)
     if agents != "replay" or latency_ms:
         raise InputError(f"road users of {engine} never react and plans take effect at once; use --engine {ENGINE}")
     if until != "contact":
         raise InputError(f"every collision ends a run of {engine}; use --engine {ENGINE} or leave --until {until} out")
-    backend: SimulatorBackend = call_extension("engine", engine, engine, scenarios)
+    if facts and engine not in OFFERS["engine"]:
+        raise InputError(f"{engine} has no targets and no scenario files; leave them out")
+    more = {"facts": facts} if facts else {}
+    backend: SimulatorBackend = call_extension("engine", engine, engine, scenarios, **more)
     return backend
+
+
+def is_scenario_file(scenarios: str) -> bool:
+    """Whether scenarios are named by the path of a YAML file."""
+    return scenarios.lower().endswith((".yaml", ".yml"))
 
 
 def restore_backend(measured: ClosedLoopDefinition) -> SimulatorBackend:
@@ -63,5 +78,11 @@ def restore_backend(measured: ClosedLoopDefinition) -> SimulatorBackend:
         ScriptedTracks({}, str(measured.agents_facts.get("others", "replay"))) if measured.agents == ADVERSARY else None
     )
     return make_backend(
-        measured.engine, measured.agents, measured.latency_ms, measured.scenarios, stored, measured.until
+        measured.engine,
+        measured.agents,
+        measured.latency_ms,
+        measured.scenarios,
+        stored,
+        measured.until,
+        measured.scenario_facts,
     )

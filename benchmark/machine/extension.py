@@ -31,7 +31,8 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "leaderboard submit-check": "benchmark.extensions.submissions.cli:submit_check_command",
         "train": "adapters.extensions.training.cli:app",
     },
-    # From the engine's name and its scenarios to a `closed_loop.simulation_state.SimulatorBackend`.
+    # From the engine's name and its scenarios, and facts of them (ours alone), to a
+    # `closed_loop.simulation_state.SimulatorBackend`.
     "engine": {
         "neuroncap@code": "benchmark.extensions.neuroncap.simulation_state:build_neuroncap_backend",
         "neuroncap@paper": "benchmark.extensions.neuroncap.simulation_state:build_neuroncap_backend",

@@ -5,6 +5,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal, Self, get_args
 
 from pydantic import ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
+from benchmark.machine.storage import content_key
 from benchmark.metrics.rates import Rate
 from benchmark.records.run_schema import Name, RecordFacts, Version
 from benchmark.records.scene_assessment import KindName, NotNegative
@@ -16,10 +17,10 @@ MOST_RUNS: Final = 10_000
 REASONS: Final = ("raised", "no plan", "unusable plan", "timeout", "died")
 StopCondition = Literal["contact", "fault"]
 """Event that ends a drive early: any contact, or one that is the ego's fault."""
-ScenariosName = Literal["recorded", "own", "official"]
-"""Scenarios of NeuroNCAP's engine: none, ours, or NeuroNCAP's own."""
+ScenariosName = Literal["recorded", "own", "official", "file"]
+"""Scenarios of NeuroNCAP's engine: none, ours, NeuroNCAP's own, or one of a file."""
 SCENARIOS: Final[tuple[ScenariosName, ...]] = get_args(ScenariosName)
-RECORDED, OWN, OFFICIAL = SCENARIOS
+RECORDED, OWN, OFFICIAL, OF_FILE = SCENARIOS
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Fraction = Share | None
 
@@ -33,7 +34,9 @@ class ClosedLoopDefinition(Stored):
         sensor: How pictures were made; ``none`` without any.
         sensor_facts: What else the pictures depend on.
         latency_ms: How much later than it was made a plan took effect.
-        scenarios: What scenes were driven with, in NeuroNCAP's engine: as they are, ours, or NeuroNCAP's own.
+        scenarios: What scenes were driven with, in NeuroNCAP's engine: as they are, ours, NeuroNCAP's own, or a file's.
+        scenario_facts: What else that is: ``file``, its name, and ``scenario``, what stands in it; ``target`` ``none``
+            where no adversary was the target. Not written where there is nothing.
         agents_facts: What else they depend on: budget, knowledge and version of an adversary, and the policy of those
             beside it. Not written where there is nothing.
         until: What ended a drive before its time. Not written where it is any contact.
@@ -45,12 +48,13 @@ class ClosedLoopDefinition(Stored):
     sensor_facts: dict[str, Any] = Field(default_factory=dict)
     latency_ms: Annotated[int, Field(ge=0, le=600_000)] = 0
     scenarios: ScenariosName = "recorded"
+    scenario_facts: dict[str, Any] = Field(default_factory=dict)
     agents_facts: dict[str, Any] = Field(default_factory=dict)
     until: StopCondition = "contact"
 
     @model_serializer(mode="wrap")
     def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        written = _without_empty(write(self), "agents_facts")
+        written = _without_empty(write(self), "agents_facts", "scenario_facts")
         return {name: value for name, value in written.items() if (name, value) != ("until", "contact")}
 
     @property
@@ -58,9 +62,16 @@ class ClosedLoopDefinition(Stored):
         """Engine, agents, latency, end of a drive: settings that records of one table share, with any sensor."""
         facts = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in sorted(self.agents_facts.items()))
         agents = f", agents {self.agents}{f' ({facts})' if facts else ''}" if self.engine == "default" else ""
-        scenarios = "" if self.scenarios == "recorded" else f", {self.scenarios} scenarios"
         late = f", latency {self.latency_ms} ms" if self.latency_ms else ""
-        return f"{self.engine}{scenarios}{agents}{late}{'' if self.until == 'contact' else ', until fault'}"
+        return f"{self.engine}{self._scenarios}{agents}{late}{'' if self.until == 'contact' else ', until fault'}"
+
+    @property
+    def _scenarios(self) -> str:
+        if self.scenarios == "file":
+            content = content_key(self.scenario_facts.get("scenario"))[:8]
+            return f", scenario {self.scenario_facts.get('file')} ({content})"
+        target = f", target {self.scenario_facts['target']}" if "target" in self.scenario_facts else ""
+        return target if self.scenarios == "recorded" else f", {self.scenarios} scenarios{target}"
 
 
 def _without_empty(written: dict[str, Any], *names: str) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from benchmark.evaluation import EvalSettings
 from benchmark.interactions.driver_simulation import REFERENCE_DRIVER_KINDS
 from benchmark.machine.storage import content_key
 from benchmark.machine.workers import Executor, LocalProcesses
-from benchmark.records.drive_schema import MOST_RUNS, ClosedLoopDefinition, EpisodeRow
+from benchmark.records.drive_schema import MOST_RUNS, OF_FILE, ClosedLoopDefinition, EpisodeRow
 from benchmark.records.run_schema import LABELS, PlannerFacts
 from benchmark.runs.code_identity import code_sha256, is_current
 from benchmark.runs.plan_rows import PlannerFactory
@@ -179,6 +179,7 @@ class DriveSettings:
                 "sensor_facts": dict(self.sensor.facts),
                 "latency_ms": self.latency_ms,
                 "scenarios": self.scenarios,
+                "scenario_facts": getattr(self.maker, "scenario_facts", {}),
                 "until": read_stop_condition(self.maker),
                 "agents_facts": describe_agents(self.maker),
             }
@@ -216,6 +217,12 @@ class DriveSettings:
             raise InputError(
                 f"no vehicle of {', '.join(scenes[:3])}{' ...' if len(scenes) > 3 else ''} can become an adversary; "
                 "choose other scenes (docs/extensions/reactive_adversary.md)"
+            )
+        if not units and self.scenarios == OF_FILE:
+            raise InputError(
+                f"none of {', '.join(scenes[:3])}{' ...' if len(scenes) > 3 else ''} has all road users that "
+                f"{self.measured.scenario_facts.get('file')} names; choose the scene that it was written for "
+                "(docs/extensions/neuroncap.md)"
             )
         if not units:
             raise InputError(

@@ -320,7 +320,11 @@ def drives_directory(
     parts += [measured.scenarios] if measured.scenarios != "recorded" else []
     parts += [f"{measured.latency_ms}ms"] if measured.latency_ms else []
     parts += ["until-fault"] if measured.until == "fault" else []
-    parts += [content_key(facts)[:8] for facts in (measured.agents_facts, measured.sensor_facts) if facts]
+    parts += [
+        content_key(facts)[:8]
+        for facts in (measured.agents_facts, measured.sensor_facts, measured.scenario_facts)
+        if facts
+    ]
     return base.parent / sanitise_file_name("-".join(parts)) / base.name
 
 

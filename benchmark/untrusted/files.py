@@ -94,7 +94,7 @@ VERDICTS: Final = Limits("file of verdicts", 64 * MIB, depth=8, values=1_000_000
 PACKAGE: Final = Limits("package of a split", 256 * MIB, values=1000, name_characters=200, content_bytes=256 * MIB)
 """Frozen splits have some kilobytes a scene; values are files."""
 SETTINGS: Final = Limits("file of settings", 256 * 1024)
-"""TOML that people write: rules of a challenge have a page."""
+"""TOML and YAML that people write: rules of a challenge have a page, scenarios of NeuroNCAP half of one."""
 PICTURE: Final = Limits("picture", 256 * MIB, values=64_000_000)
 """Values are pixels: cameras have 1.4 to 12 million."""
 HTTP_REQUEST: Final = Limits("request", 64 * MIB, depth=8, values=10_000)

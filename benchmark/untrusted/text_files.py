@@ -11,19 +11,25 @@ from typing import Any, Final
 from benchmark.errors import InputError
 from benchmark.untrusted.files import JSON, SETTINGS, Limits, format_bytes, open_file, read_file, to_one_line
 
+_LONGEST_NUMBER: Final = 200
+"""Characters: what is longer takes long to read, and cannot be printed in a message."""
+
 
 def read_yaml(path: Path, limits: Limits = SETTINGS) -> Any:
     """Read a YAML file of plain values: no tags, and no aliases, of which a few lines can make billions of values."""
     import yaml
 
     class PlainLoader(yaml.SafeLoader):  # type: ignore[misc]
-        """Loader that refuses aliases and deep nesting while it reads."""
+        """Loader that refuses aliases, tags, deep nesting and numbers without end while it reads."""
 
         depth = 0
 
         def compose_node(self, parent: Any, index: Any) -> Any:
             if self.check_event(yaml.AliasEvent):
                 raise yaml.YAMLError("it has an alias; write the value out")
+            tag = getattr(self.peek_event(), "tag", None)
+            if tag not in (None, "!"):
+                raise yaml.YAMLError(f"it has the tag {to_one_line(tag, 60)}; write a plain value")
             self.depth += 1
             if self.depth > limits.depth:
                 raise yaml.YAMLError(f"its containers lie more than {limits.depth} deep")
@@ -32,9 +38,14 @@ def read_yaml(path: Path, limits: Limits = SETTINGS) -> Any:
             finally:
                 self.depth -= 1
 
+        def construct_scalar(self, node: Any) -> Any:
+            if node.tag.endswith((":int", ":float")) and len(node.value) > _LONGEST_NUMBER:
+                raise yaml.YAMLError(f"it has a number of {len(node.value)} characters")
+            return super().construct_scalar(node)
+
     try:
         return yaml.load(read_file(path, limits).decode("utf-8-sig"), Loader=PlainLoader)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    except (yaml.YAMLError, ValueError, ArithmeticError, RecursionError) as error:
         raise InputError(
             f"{path} is not valid YAML ({to_one_line(error) or 'nested too deeply'}); correct it"
         ) from error

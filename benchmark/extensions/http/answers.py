@@ -1,4 +1,8 @@
-"""Answer of ``/infer``: a trajectory and a model's other outputs, accepted as by NeuroNCAP's own client."""
+"""Answer of ``/infer``: a trajectory and a model's other outputs, accepted as by NeuroNCAP's own client.
+
+But for empty lists: its client refuses ``[]``, which servers of the forks may answer where nothing was detected (their
+lists are optional, of any length); here that is none, like null.
+"""
 
 from dataclasses import dataclass
 from typing import Any, Final, Self
@@ -40,7 +44,7 @@ class ModelAnswer:
 
     @classmethod
     def read(cls, body: bytes) -> Self:
-        """Read an answer, whose numbers may be NaN; refused where NeuroNCAP's client would not take it."""
+        """Read an answer, whose numbers may be NaN; refused where neither NeuroNCAP's client nor a fork would."""
         value = parse_body(body, HTTP_ANSWER, _BODY)
         trajectory = parse_numbers(read_member(value, "trajectory", _BODY), "trajectory")
         aux = read_member(value, _AUX, _BODY)
@@ -106,8 +110,8 @@ class ModelAnswer:
 
 
 def _read_optional_list(aux: dict[str, Any], name: str, shape: tuple[int, ...]) -> Floats:
-    """An optional list; 0 in the shape is any length. A list without elements has one axis, as for the client."""
-    if aux.get(name) is None:
+    """An optional list, none where it is null, absent or empty; 0 in the shape is any length."""
+    if aux.get(name) is None or aux[name] == []:
         return np.empty(shape)
     values = parse_numbers(aux[name], f"{_AUX}.{name}")
     wrong = values.ndim != len(shape) or any(

@@ -20,6 +20,12 @@ if TYPE_CHECKING:
 CONNECT_S: Final = 5.0
 ALIVE_S: Final = 30.0
 """So long may the first answer take."""
+
+
+class ServerHungUpError(PlannerAwayError):
+    """A server took a request and closed the connection: it went away, or failed without an answer."""
+
+
 _JSON: Final = "application/json"
 _AGENT: Final = "challenger-bench"
 
@@ -136,7 +142,7 @@ class HttpConnection:
         )
 
     def _build_away_error(self, path: str, error: Any) -> PlannerAwayError:
-        return PlannerAwayError(
+        return ServerHungUpError(
             f"{self.what} at {self.url} hung up before answering {path} ({to_one_line(error, 80)}); look at its log, "
             "restart it, then run the same command again: finished work is kept"
         )

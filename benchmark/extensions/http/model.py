@@ -7,9 +7,9 @@ import sys
 from typing import Any, Final
 
 from benchmark.extensions.http.answers import ModelAnswer
-from benchmark.extensions.http.connection import ALIVE_S, HttpConnection, HttpReply
+from benchmark.extensions.http.connection import ALIVE_S, HttpConnection, HttpReply, ServerHungUpError
 from benchmark.extensions.http.session import build_request
-from benchmark.extensions.http.values import HttpImageFormat, NeuroncapHttpError
+from benchmark.extensions.http.values import AUTO, HttpImageFormat, NeuroncapHttpError
 from benchmark.machine.address import Address
 from benchmark.planning import Observation, Plan, PlanFrame, PlannerGoneError, PlannerLateError, SceneInfo
 from benchmark.untrusted.files import HTTP_ANSWER, to_one_line
@@ -34,11 +34,11 @@ class HttpPlanner:
     """A planner that is asked over HTTP, with its pictures in one form and its answers in one frame."""
 
     def __init__(
-        self, address: Address, form: HttpImageFormat, deadline_s: float, frame: PlanFrame = PlanFrame.EGO
+        self, address: Address, form: HttpImageFormat | None, deadline_s: float, frame: PlanFrame = PlanFrame.EGO
     ) -> None:
-        """Nothing is asked yet. The frame of the protocol's answers is ``ego``."""
+        """Nothing is asked yet; no form tries each. The frame of the protocol's answers is ``ego``."""
         self.name = address.name
-        self.settings: dict[str, Any] = {**address.settings, "image_format": form.value}
+        self.settings: dict[str, Any] = {**address.settings, "image_format": AUTO if form is None else form.value}
         if frame is not PlanFrame.EGO:
             self.settings["frame"] = frame.value
         self.address = address
@@ -46,9 +46,13 @@ class HttpPlanner:
         self.frame = frame
         self._connection = HttpConnection(address.url, "the model server", deadline_s)
         self._told = False
+        self._answered = False
 
     def reset(self, scene: SceneInfo) -> None:
         """Forget the previous scene; of the new one the protocol says nothing."""
+        self._reset()
+
+    def _reset(self) -> None:
         reply = self._connection.post("/reset", RESET_BODY)
         self._require_server(reply, "/reset")
         if reply.status >= _LEAST_FAILURE:
@@ -57,19 +61,15 @@ class HttpPlanner:
     def plan(self, observation: Observation) -> Plan:
         """Ask for a plan, once; it is in the frame of the model's answers.
 
+        Without a form, the first plan is asked for in each, with a reset between, until there is one.
+
         Raises:
             InputError: If a picture is missing.
             PlannerGoneError: If there is no answer, or it is not from a model server.
             PlannerLateError: If it takes too long.
             ModelFailedError: If it answers anything that NeuroNCAP would not take, or that is no plan.
         """
-        reply = self._connection.post("/infer", build_request(observation, self.form).encoded())
-        try:
-            answer = ModelAnswer.read(reply.body)
-        except NeuroncapHttpError as error:
-            self._require_server(reply, "/infer")
-            failure = f"status {reply.status}: {_read_detail(reply)}" if reply.status >= _LEAST_ERROR else str(error)
-            raise ModelFailedError(f"{self._who} returned no plan ({failure})") from error
+        reply, answer = self._ask(observation)
         if reply.status >= _LEAST_ERROR and not self._told:
             self._told = True
             print(
@@ -80,6 +80,44 @@ class HttpPlanner:
             return answer.plan(self.frame)
         except NeuroncapHttpError as error:
             raise ModelFailedError(f"{self._who} returned a plan that cannot be driven: {error}") from error
+
+    def _ask(self, observation: Observation) -> tuple[HttpReply, ModelAnswer]:
+        """The reply with an answer, in the known form or else in the first in which there is one."""
+        forms = list(HttpImageFormat) if self.form is None else [self.form]
+        failures: list[str] = []
+        while True:
+            form = forms.pop(0)
+            if failures:
+                # A model that failed half-way may remember what it saw.
+                self._reset()
+            try:
+                reply = self._connection.post("/infer", build_request(observation, form).encoded())
+            except ServerHungUpError as error:
+                if forms:
+                    failures.append(f"no answer to images as {form.value}")
+                    continue
+                raise ServerHungUpError(f"{error}{self._advise(form)}") from error
+            try:
+                answer = ModelAnswer.read(reply.body)
+            except NeuroncapHttpError as error:
+                failure = f"status {reply.status}: {_read_detail(reply)}" if reply.status >= _LEAST_ERROR else error
+                failures.append(f"{failure}" if self.form else f"{failure} to images as {form.value}")
+                if forms and reply.status not in _BUSY and not reply.is_page:
+                    continue
+                self._require_server(reply, "/infer")
+                hint = self._advise(form) if reply.status >= _LEAST_FAILURE else ""
+                raise ModelFailedError(f"{self._who} returned no plan ({'; '.join(failures)}){hint}") from error
+            if self.form is None:
+                print(f"{self._who} reads images as {form.value}", file=sys.stderr, flush=True)
+            self.form, self._answered = form, True
+            return reply, answer
+
+    def _advise(self, form: HttpImageFormat) -> str:
+        """What else to try with a server that fails before its first plan, as where it cannot read the images."""
+        if self._answered or self.form is None:
+            return ""
+        other = HttpImageFormat.TORCH if form is HttpImageFormat.PNG else HttpImageFormat.PNG
+        return f"; if it cannot read images as {form.value}, try --image-format {other.value}, or auto, to try both"
 
     def come_back(self) -> None:
         """Wait for a server that went away (`benchmark.planning.RemotePlanner`)."""
@@ -121,10 +159,11 @@ def http_planner(
 ) -> HttpPlanner:
     """The planner at ``http://HOST:PORT`` or ``NAME=http://HOST:PORT``; nothing is asked yet.
 
-    ``image_format`` is ``torch``, as NeuroNCAP sends pictures, or ``png``; answers are in the frame ``ego``, as the
-    protocol has it, or ``lidar``.
+    ``image_format`` is ``torch``, as NeuroNCAP sends pictures, ``png``, or ``auto``, which tries both; answers are in
+    the frame ``ego``, as the protocol has it, or ``lidar``.
     """
-    return HttpPlanner(Address.of(address, _OPTION), HttpImageFormat(image_format), deadline_s, PlanFrame(frame))
+    form = None if image_format == AUTO else HttpImageFormat(image_format)
+    return HttpPlanner(Address.of(address, _OPTION), form, deadline_s, PlanFrame(frame))
 
 
 def _read_detail(reply: HttpReply) -> str:

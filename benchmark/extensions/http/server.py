@@ -1,10 +1,12 @@
 """ASGI server, on this machine alone by default: bounded bodies, planning in a thread, errors as sentences."""
 
 import asyncio
+import sys
 import threading
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from http import HTTPStatus
 from types import TracebackType
 from typing import Any, Final, Self
@@ -19,8 +21,8 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from benchmark.extensions.http.listening import LOOPBACK, is_open_address, open_listening_socket
 from benchmark.extensions.http.requests import encode_json
-from benchmark.extensions.http.session import PlannerSession, PlanRequestError
-from benchmark.untrusted.files import HTTP_REQUEST, format_bytes
+from benchmark.extensions.http.session import FAILED, PlannerSession, PlanRequestError
+from benchmark.untrusted.files import HTTP_REQUEST, format_bytes, to_one_line
 
 _RESET_BYTES: Final = 64 * 1024
 _BODIES: Final = 4
@@ -40,6 +42,7 @@ def build_application(session: PlannerSession, bounds: RequestBounds) -> Starlet
     """ASGI routes of a session; one thread asks the planner, so that ``/alive`` answers meanwhile."""
     thread = ThreadPoolExecutor(1, thread_name_prefix="planner")
     bodies = asyncio.Semaphore(_BODIES)
+    log = RefusalLog()
 
     async def alive(_: Request) -> bytes:
         return encode_json(True)
@@ -56,15 +59,38 @@ def build_application(session: PlannerSession, bounds: RequestBounds) -> Starlet
 
     return Starlette(
         routes=[
-            Route("/alive", _wrap_route(alive), methods=["GET"]),
-            Route("/reset", _wrap_route(reset), methods=["POST"]),
-            Route("/infer", _wrap_route(infer), methods=["POST"]),
+            Route("/alive", _wrap_route(alive, log), methods=["GET"]),
+            Route("/reset", _wrap_route(reset, log), methods=["POST"]),
+            Route("/infer", _wrap_route(infer, log), methods=["POST"]),
         ],
-        exception_handlers={HTTPException: _answer_unknown_route},
+        exception_handlers={HTTPException: partial(_answer_unknown_route, log)},
     )
 
 
-def _wrap_route(work: Callable[[Request], Awaitable[bytes]]) -> Callable[[Request], Awaitable[Response]]:
+class RefusalLog:
+    """Shows the first refusal of each kind on the terminal: NeuroNCAP's client does not look at answers."""
+
+    def __init__(self) -> None:
+        self._shown: set[tuple[int, str]] = set()
+
+    def note(self, request: Request, refused: PlanRequestError) -> None:
+        """Print a refusal, unless one of its kind was; the session prints each failure of the planner itself."""
+        kind = refused.status, refused.kind
+        if refused.status == FAILED or kind in self._shown:
+            return
+        self._shown.add(kind)
+        asked = to_one_line(f"{request.method} {request.url.path}", 80)
+        print(
+            f"refused {asked} (status {refused.status}): {to_one_line(refused, 400)}; more of this kind are not shown "
+            "(docs/extensions/http.md)",
+            file=sys.stderr,
+            flush=True,
+        )
+
+
+def _wrap_route(
+    work: Callable[[Request], Awaitable[bytes]], log: RefusalLog
+) -> Callable[[Request], Awaitable[Response]]:
     """A route whose refusals are JSON with a sentence under ``detail``."""
 
     async def answer(request: Request) -> Response:
@@ -72,6 +98,7 @@ def _wrap_route(work: Callable[[Request], Awaitable[bytes]]) -> Callable[[Reques
             _require_trusted_client(request)
             return _build_response(HTTPStatus.OK, await work(request))
         except PlanRequestError as refused:
+            log.note(request, refused)
             return _build_error_response(refused.status, str(refused))
         except ClientDisconnect:
             # The client is gone; there is no one to answer.
@@ -82,7 +109,9 @@ def _wrap_route(work: Callable[[Request], Awaitable[bytes]]) -> Callable[[Reques
 
 async def _read_body(request: Request, most: int, seconds: float) -> bytes:
     """A body, counted while it arrives; what it says of its length is only good for refusing it sooner."""
-    too_long = PlanRequestError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a body has at most {format_bytes(most)}")
+    too_long = PlanRequestError(
+        HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a body has at most {format_bytes(most)}; send smaller images"
+    )
     content_length = request.headers.get("content-length", "")
     if content_length.isdigit() and int(content_length[:20]) > most:
         raise too_long
@@ -115,13 +144,15 @@ def _require_trusted_client(request: Request) -> None:
         raise PlanRequestError(HTTPStatus.FORBIDDEN, "requests from web pages are refused; send them from a program")
     if request.headers.get("content-encoding", "identity") != "identity":
         raise PlanRequestError(
-            HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "compressed bodies are refused; send the body uncompressed"
+            HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "compressed bodies are refused; send the body uncompressed", "compressed"
         )
 
 
-async def _answer_unknown_route(request: Request, error: Exception) -> Response:
+async def _answer_unknown_route(log: RefusalLog, request: Request, error: Exception) -> Response:
     status = error.status_code if isinstance(error, HTTPException) else HTTPStatus.INTERNAL_SERVER_ERROR
-    return _build_error_response(status, "unknown path or method; use GET /alive, POST /reset or POST /infer")
+    refused = PlanRequestError(status, "unknown path or method; use GET /alive, POST /reset or POST /infer")
+    log.note(request, refused)
+    return _build_error_response(status, str(refused))
 
 
 def _build_error_response(status: int, sentence: str) -> Response:

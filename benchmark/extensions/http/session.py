@@ -171,11 +171,15 @@ UNSUPPORTED, UNREADABLE, CONFLICT, FAILED = 415, 422, 409, 500
 
 
 class PlanRequestError(Exception):
-    """A request that is not answered with a plan: an HTTP status, and a sentence for the client."""
+    """A request that is not answered with a plan: an HTTP status, and a sentence for the client.
 
-    def __init__(self, status: int, sentence: str) -> None:
+    ``kind`` tells refusals of one status apart.
+    """
+
+    def __init__(self, status: int, sentence: str, kind: str = "") -> None:
         super().__init__(sentence)
         self.status = status
+        self.kind = kind
 
 
 class PlannerSession:
@@ -216,6 +220,7 @@ class PlannerSession:
             raise PlanRequestError(
                 UNSUPPORTED,
                 f"{refused}; send PNG or JPEG, or start the server with {TENSOR_FLAG} if you trust its clients",
+                kind="saved tensors",
             ) from refused
         except NeuroncapHttpError as error:
             raise PlanRequestError(UNREADABLE, str(error)) from error

@@ -98,6 +98,10 @@ class HttpImageFormat(StrEnum):
     PNG = "png"
 
 
+AUTO: Final = "auto"
+"""Instead of a form: each in its order, until a model answers with a plan."""
+
+
 def encode_image(pixels: NDArray[np.uint8], form: HttpImageFormat) -> str:
     """(height, width, 3) RGB as base64 in one line; ``torch`` is NeuroNCAP's form, a ``torch.save`` of the tensor."""
     file = io.BytesIO()

@@ -1,6 +1,7 @@
-"""NeuroNCAP's scenarios as data: what is put in the way, and how much of it is drawn."""
+"""NeuroNCAP's scenarios as data: what is put in the way, and how much of it is drawn; its own, and those of files."""
 
 import functools
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,13 +12,37 @@ from numpy.typing import NDArray
 
 from benchmark.errors import InputError, did_you_mean
 from benchmark.geometry import Floats
-from benchmark.untrusted.text_files import read_json
+from benchmark.untrusted.files import to_one_line
+from benchmark.untrusted.text_files import read_json, read_yaml
 
 OFFICIAL_FILE: Final = Path(__file__).parent / "assets" / "official_scenarios.json"
 STEP_S: Final = 0.5
 """The only step that the engine takes."""
+_FRAMERATE: Final = 2.0
+"""Poses of an actor a second, as published code has them; the engine supports no other number."""
+FAMILIES: Final = ("stationary", "frontal", "side")
 _NO_ACTORS: Final = 1
 """Primed steps without a scenario."""
+_MOST: Final = 1e6
+"""Of any number, metres, seconds or radians: no map is as large."""
+_LONGEST_S: Final = 600.0
+_MOST_FRAMES: Final = 10_000
+_MOST_ACTORS: Final = 200
+_NOT_READ: Final = ("start_pose", "start_velo", "smooth_actors")
+"""Of ``general``: neither the published code nor this engine reads them."""
+_NAMES: Final[dict[str, tuple[str, ...]]] = {
+    "scenario": ("general", "actors"),
+    "general": (
+        *("start_frame", "priming_steps", "time_step", "duration", "start_jitter", "dim_jitter", "actor_framerate"),
+        *_NOT_READ,
+    ),
+    "actor": (
+        *("mode", "uuid", "uuids", "is_target_actor", "times", "positions", "initial_yaw", "flip_uuids", "dims"),
+        *("exclusive_group", "jitter"),
+    ),
+    "jitter": ("longitudinal", "lateral", "long_lat_angle", "yaw_jitter", "times", "uniform"),
+}
+"""What a file may name, by the table that it stands in."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,12 +109,14 @@ class Scenario:
     def of(cls, facts: Mapping[str, Any], where: str) -> Self:
         """A scenario from a file of NeuroNCAP's, whose names may have ``-`` for ``_`` and whose step must be 0.5 s."""
         general = _ScenarioTable(_require_mapping(facts, where).get("general"), f"{where}, general")
-        step = general.number("time_step", STEP_S)
+        step, rate = general.number("time_step", STEP_S), general.number("actor_framerate", _FRAMERATE)
         if step != STEP_S:
             raise InputError(f"{where} sets steps of {step} s; this engine supports {STEP_S} s")
+        if rate != _FRAMERATE:
+            raise InputError(f"{where} sets an actor_framerate of {rate}; this engine supports {_FRAMERATE}")
         actors = facts.get("actors") or []
-        if not isinstance(actors, list):
-            raise InputError(f"{where}: actors is not a list")
+        if not isinstance(actors, list) or len(actors) > _MOST_ACTORS:
+            raise InputError(f"{where}: actors is not a list of at most {_MOST_ACTORS}")
         listed = tuple(
             _read_actor(_ScenarioTable(actor_value, f"{where}, actor {number}"))
             for number, actor_value in enumerate(actors)
@@ -99,9 +126,9 @@ class Scenario:
         return cls(
             start_frame=general.whole("start_frame", 0),
             priming_steps=general.whole("priming_steps", _NO_ACTORS),
-            duration_s=general.number("duration", 20.0),
+            duration_s=general.number("duration", 20.0, least=STEP_S, most=_LONGEST_S),
             start_jitter=general.whole("start_jitter", 0),
-            dim_jitter=general.number("dim_jitter", 0.0),
+            dim_jitter=general.number("dim_jitter", 0.0, least=0.0, most=0.9),
             actors=listed,
         )
 
@@ -110,6 +137,65 @@ class Scenario:
         """Whether two runs of it can differ."""
         choices = len(self.actors) > 1 or any(len(actor.uuids) > 1 for actor in self.actors)
         return bool(self.start_jitter or self.dim_jitter or choices or any(actor.jitter for actor in self.actors))
+
+
+@dataclass(frozen=True, slots=True)
+class ScenarioFile:
+    """A scenario of a file; `content` is what it says, under names with ``_``, as a record keeps it.
+
+    `name` is the file's, with its folder where that is one of `FAMILIES`, which then is the `family`, else empty.
+    """
+
+    name: str
+    content: Mapping[str, Any]
+    scenario: Scenario
+
+    @classmethod
+    def of(cls, name: str, content: Any) -> Self:
+        """From a name and content as in a record; `InputError` for no scenario, or one without actors."""
+        scenario = Scenario.of(_require_mapping(content, name), name)
+        if not scenario.actors:
+            raise InputError(f"{name} lists no actors; give at least one, or drive scenes as they are")
+        return cls(name, content, scenario)
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read a YAML file as NeuroNCAP has it; unlike there, names that nothing reads are refused."""
+        content = _sanitise_names(read_yaml(path), "scenario", str(path))
+        family = path.absolute().parent.name
+        name = to_one_line(f"{family}/{path.name}" if family in FAMILIES else path.name, 80)
+        return cls(name, content, cls.of(str(path), content).scenario)
+
+    @property
+    def family(self) -> str:
+        """The folder that it was read from, if that is a family."""
+        folder, slash, _ = self.name.partition("/")
+        return folder if slash and folder in FAMILIES else ""
+
+    @property
+    def uuids(self) -> frozenset[str]:
+        """All instances that it may put on stage."""
+        return frozenset(uuid for actor in self.scenario.actors for uuid in actor.uuids)
+
+
+def _sanitise_names(value: Any, table: str, where: str) -> dict[str, Any]:
+    """A table of a file under names with ``_``, without what nothing reads; unknown names are refused."""
+    known = _NAMES[table]
+    named: dict[str, Any] = {}
+    for name, member in _require_mapping(value, where).items():
+        plain = to_one_line(name, 40).replace("-", "_")
+        if plain not in known:
+            hint = did_you_mean(plain, known)
+            raise InputError(
+                f"{where} names {plain!r}, which NeuroNCAP does not read; {hint}correct it or leave it out"
+            )
+        if plain in ("general", "jitter") and member is not None:
+            named[plain] = _sanitise_names(member, plain, f"{where}, {plain}")
+        elif plain == "actors" and isinstance(member, list):
+            named[plain] = [_sanitise_names(one, "actor", f"{where}, actor {i}") for i, one in enumerate(member)]
+        elif plain not in _NOT_READ:
+            named[plain] = member
+    return named
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,19 +239,21 @@ class _ScenarioTable:
     def __contains__(self, name: str) -> bool:
         return name in self._values
 
-    def number(self, name: str, default: float) -> float:
+    def number(self, name: str, default: float, *, least: float = -_MOST, most: float = _MOST) -> float:
         value = self._values.get(name, default)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        if not _is_number(value):
             raise InputError(f"{self.where}: {name} is not a finite number")
+        if not least <= value <= most:
+            raise InputError(f"{self.where}: {name} is not a number from {least:g} to {most:g}")
         return float(value)
 
-    def maybe(self, name: str) -> float | None:
-        return self.number(name, 0.0) if name in self else None
+    def maybe(self, name: str, *, least: float = 0.0) -> float | None:
+        return self.number(name, 0.0, least=least) if name in self else None
 
     def whole(self, name: str, default: int) -> int:
         value = self.number(name, default)
-        if value != int(value) or value < 0:
-            raise InputError(f"{self.where}: {name} is not a whole number of at least 0")
+        if value != int(value) or not 0 <= value <= _MOST_FRAMES:
+            raise InputError(f"{self.where}: {name} is not a whole number of at least 0 and at most {_MOST_FRAMES}")
         return int(value)
 
     def flag(self, name: str, default: bool) -> bool:
@@ -182,21 +270,43 @@ class _ScenarioTable:
         return tuple(listed)
 
     def array(self, name: str, *shape: int | None) -> Floats:
+        value = self._values.get(name)
         try:
-            array: NDArray[np.float64] = np.asarray(self._values.get(name), np.float64)
-        except (TypeError, ValueError):
+            array: NDArray[np.float64] = np.asarray(value if _are_numbers(value) else (), np.float64)
+        except ValueError:
             array = np.empty(0)
         fits = array.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, array.shape))
-        if not fits or not array.size or not np.isfinite(array).all():
+        if not fits or not array.size or np.abs(array).max() > _MOST:
             raise InputError(f"{self.where}: {name} is missing, or not an array of finite numbers of the right shape")
         return array
+
+    def label(self, name: str) -> str | None:
+        value = self._values.get(name)
+        if isinstance(value, int) and not isinstance(value, bool):
+            return str(value) if value else None
+        return next(iter(self.texts(name)), None) or None
+
+    def size(self, name: str) -> Floats:
+        size = self.array(name, 3)
+        if not (size > 0.0).all():
+            raise InputError(f"{self.where}: {name} is not width, length and height above 0")
+        return size
 
     def inner(self, name: str) -> "_ScenarioTable":
         return _ScenarioTable(self._values[name], f"{self.where}, {name}")
 
 
+def _is_number(value: Any) -> bool:
+    """Whether a value is a finite number, of which truth values are none."""
+    return type(value) is int or (type(value) is float and math.isfinite(value))
+
+
+def _are_numbers(value: Any) -> bool:
+    return all(map(_are_numbers, value)) if isinstance(value, list) else _is_number(value) and abs(value) <= 2 * _MOST
+
+
 def _read_actor(facts: _ScenarioTable) -> ScenarioActor:
-    mode = next(iter(facts.texts("mode")), "override")
+    mode = to_one_line(next(iter(facts.texts("mode")), "override"), 40)
     if mode not in ("override", "optimized"):
         hint = did_you_mean(mode, ("override", "optimized"))
         raise InputError(f"{facts.where}: mode {mode!r} is unknown; {hint}use override or optimized")
@@ -218,8 +328,8 @@ def _read_actor(facts: _ScenarioTable) -> ScenarioActor:
         positions=positions,
         initial_yaw=facts.number("initial_yaw", 0.0),
         flipped=facts.texts("flip_uuids"),
-        exclusive_group=next(iter(facts.texts("exclusive_group")), None),
-        size=facts.array("dims", 3) if "dims" in facts else None,
+        exclusive_group=facts.label("exclusive_group"),
+        size=facts.size("dims") if "dims" in facts else None,
         jitter=_read_jitter(facts.inner("jitter")) if "jitter" in facts else None,
     )
 
@@ -228,7 +338,7 @@ def _read_jitter(facts: _ScenarioTable) -> Jitter:
     return Jitter(
         longitudinal=facts.maybe("longitudinal"),
         lateral=facts.maybe("lateral"),
-        angle=facts.maybe("long_lat_angle"),
+        angle=facts.maybe("long_lat_angle", least=-_MOST),
         yaw=facts.maybe("yaw_jitter"),
         times=tuple(facts.array("times", None).tolist()) if "times" in facts else None,
         uniform=facts.flag("uniform", True),

@@ -1,17 +1,20 @@
 """NeuroNCAP's engine as a ride: any scene of any split, with its own adversary as the target actor.
 
 A scene as it is is driven as published code drives one without a scenario file: from its first frame, one primed step,
-its own actors. With scenarios, of ours or NeuroNCAP's own, it is driven once for each family. The planner's motion and
-command are the engine's.
+its own actors; but the score's reference speed takes the adversary as target, where published code has none. With
+scenarios, of ours, NeuroNCAP's own or of a file, it is driven once for each family. The planner's motion and command
+are the engine's.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 
 from benchmark.closed_loop.default_engine import build_recorded_motion
+from benchmark.closed_loop.engines import is_scenario_file
 from benchmark.closed_loop.simulation_state import (
     TICK_US,
     CollisionEvent,
@@ -21,6 +24,7 @@ from benchmark.closed_loop.simulation_state import (
     SimulationState,
     require_enough_keyframes,
 )
+from benchmark.errors import InputError
 from benchmark.extensions.neuroncap.actors import Actor, Integers, compute_heading
 from benchmark.extensions.neuroncap.contact import compute_box
 from benchmark.extensions.neuroncap.loop import (
@@ -42,20 +46,22 @@ from benchmark.extensions.neuroncap.recording import (
     read_annotations,
     read_recording,
 )
-from benchmark.extensions.neuroncap.scenarios import Scenario, read_official_scenarios
+from benchmark.extensions.neuroncap.scenarios import Scenario, ScenarioFile, read_official_scenarios
 from benchmark.extensions.neuroncap.score import compute_reference_speed, score_run
 from benchmark.extensions.neuroncap.staging import RenderableActors, stage_run
 from benchmark.geometry import Floats, transform_matrix
 from benchmark.interactions.tracks import ContinuousTracks
 from benchmark.pdm.plan_motion import plan_to_poses
 from benchmark.planning import Command, Plan
-from benchmark.records.drive_schema import OWN, RECORDED, NeuroncapScore
+from benchmark.records.drive_schema import OF_FILE, OWN, RECORDED, NeuroncapScore
 from benchmark.records.neuroncap_aggregate import NeuroncapSwitches
 from benchmark.scene import Scene
 
 _ACCELERATION, _RATE, _VELOCITY = slice(7, 10), slice(10, 13), slice(13, 16)
 """Of a CAN row of the engine."""
 _FEWEST_TICKS: Final = 4
+ADVERSARY_TARGET, NO_TARGET = "adversary", "none"
+"""Whom the reference speed of a recorded scene is relative to: its first adversary, or nobody, as in published code."""
 WITHOUT_SCENARIO: Final = Scenario()
 """Scenario of the published code if there is no scenario file."""
 _COLUMNS: Final = [0, 1, 2, 3, 4, 6, 5]
@@ -64,21 +70,36 @@ _COLUMNS: Final = [0, 1, 2, 3, 4, 6, 5]
 
 @dataclass(frozen=True, slots=True)
 class NeuroncapBackend:
-    """Makes rides of NeuroNCAP's engine on ``recorded`` scenes, or with ``own`` or ``official`` scenarios by family."""
+    """Makes rides of NeuroNCAP's engine on ``recorded`` scenes, or with ``own`` or ``official`` scenarios by family.
+
+    A `file` has the scenario of ``file``. The `target` of a recorded scene is its ``adversary``, or ``none``.
+    """
 
     switches: NeuroncapSwitches
     scenarios: str = RECORDED
+    file: ScenarioFile | None = None
+    target: str = ADVERSARY_TARGET
 
     @property
     def draws(self) -> bool:
         """Whether two runs can differ."""
-        return self.scenarios != RECORDED
+        return self.scenarios != RECORDED if self.file is None else self.file.scenario.draws
+
+    @property
+    def scenario_facts(self) -> dict[str, Any]:
+        """What scenarios are besides their name, as a record keeps it."""
+        if self.file is not None:
+            return {"file": self.file.name, "scenario": self.file.content}
+        return {} if self.target == ADVERSARY_TARGET else {"target": self.target}
 
     def families(self, read: Callable[[], tuple[Scene, RecordedCan]]) -> tuple[str, ...]:
         """Scenarios of a scene."""
         if self.scenarios == RECORDED:
             return ("",)
         scene, can = read()
+        if self.file is not None:
+            known = {actor.uuid for actor in build_recording(scene, can, self.switches).actors}
+            return (self.file.family,) if self.file.uuids <= known else ()
         return tuple(find_scenarios(scene.name, build_recording(scene, can, self.switches), self.scenarios))
 
     def advance_together(
@@ -92,10 +113,13 @@ class NeuroncapBackend:
         require_enough_keyframes(scene, _FEWEST_TICKS)
         recording = build_recording(scene, can, self.switches)
         scenario = WITHOUT_SCENARIO
-        if family:
+        if family or self.file is not None or self.target == NO_TARGET:
             recording = replace(
                 recording, actors=tuple(replace(recorded_actor, is_target=False) for recorded_actor in recording.actors)
             )
+        if self.file is not None:
+            scenario = self.file.scenario
+        elif family:
             scenario = find_scenarios(scene.name, recording, self.scenarios)[family]
         drawn = stage_run(scenario, run, recording.times, RenderableActors.of(recording.actors), self.switches)
         engine = Engine.of(
@@ -318,6 +342,18 @@ def _find_target(engine: Engine) -> Actor | None:
     return next((actor for actor in engine.actors if actor.is_target), None)
 
 
-def build_neuroncap_backend(engine: str, scenarios: str) -> NeuroncapBackend:
-    """Maker of rides of the engine of a name; raises `InputError` if there is no such engine."""
-    return NeuroncapBackend(NeuroncapSwitches.named(engine), scenarios)
+def build_neuroncap_backend(engine: str, scenarios: str, facts: Mapping[str, Any] | None = None) -> NeuroncapBackend:
+    """Maker of rides of the engine of a name; ``scenarios`` may be the path of a file, ``facts`` are of a record.
+
+    Raises `InputError` if there is no such engine, or for no scenario file of NeuroNCAP.
+    """
+    facts = facts or {}
+    target, switches = facts.get("target", ADVERSARY_TARGET), NeuroncapSwitches.named(engine)
+    if target not in (ADVERSARY_TARGET, NO_TARGET):
+        raise InputError(f"unknown target {target!r}; choose from {ADVERSARY_TARGET} and {NO_TARGET}")
+    if target == NO_TARGET and scenarios != RECORDED:
+        raise InputError(f"--target {target} is for recorded scenes, a scenario names its own; leave it out")
+    if is_scenario_file(scenarios):
+        return NeuroncapBackend(switches, OF_FILE, ScenarioFile.read(Path(scenarios)))
+    file = ScenarioFile.of(str(facts.get("file")), facts.get("scenario")) if scenarios == OF_FILE else None
+    return NeuroncapBackend(switches, scenarios, file, target)

@@ -1,9 +1,11 @@
 """The client: exactly NeuroNCAP's requests, never one twice, and a sentence for everything that can go wrong."""
 
+import base64
 import json
 import socket
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -82,6 +84,7 @@ def test_a_recorded_server_is_driven_as_it_was() -> None:
 
 FAILURES: list[tuple[str, Reply, str]] = [
     ("an error page of a framework", (500, b'{"detail": "CUDA out of memory"}'), "status 500: CUDA out of memory"),
+    ("pictures that it cannot read", (500, b"Internal Server Error"), "as png, try --image-format torch, or auto"),
     ("an error in plain words", (500, b"Internal Server Error"), "Internal Server Error"),
     ("too few waypoints", (200, b'{"trajectory": [[1, 0]], "aux_outputs": {}}'), "6 to 16 waypoints"),
     ("NaN", (200, GOOD.replace(b"[1, 0]", b"[NaN, 0]")), "finite, but"),
@@ -96,6 +99,74 @@ GONE: list[tuple[str, Reply, str]] = [
     ("other members", (422, b'{"detail": [{"loc": ["body", "image"], "msg": "missing"}]}'), "422.*another version"),
     ("other pictures", (415, b'{"detail": "no tensors"}'), "--image-format"),
 ]
+
+
+def reads_only(form: str, status: int = 500) -> Callable[[str, bytes], Reply]:
+    """A server that reads pictures in one form, and fails with an error of its framework at any other."""
+
+    def answer(path: str, body: bytes) -> Reply:
+        if path != "/infer":
+            return 200, b"true"
+        is_png = base64.b64decode(json.loads(body)["images"]["CAM_FRONT"]).startswith(b"\x89PNG")
+        return (200, GOOD) if is_png == (form == "png") else (status, b"Internal Server Error")
+
+    return answer
+
+
+@pytest.mark.parametrize("form", ["torch", "png"])
+@pytest.mark.parametrize("status", [500, 415, 200])
+def test_auto_finds_the_form_that_a_server_reads(form: str, status: int, capsys: pytest.CaptureFixture[str]) -> None:
+    with scripted(reads_only(form, status)) as server:
+        one = planner(server.url, "auto")
+        one.reset(SCENE)
+        assert [one.plan(observed(index)).waypoints[0, 0] for index in range(2)] == [1.0, 1.0]
+    again = ["/infer", "/reset"] if form == "png" else []
+    assert server.paths == ["/reset", *again, "/infer", "/infer"]
+    assert capsys.readouterr().err.count(f"reads images as {form}") == 1
+    assert build_planner_facts(one).settings["image_format"] == "auto"
+
+
+@pytest.mark.parametrize(
+    ("reply", "error", "says", "asked"),
+    [
+        ((500, b"no GPU"), ModelFailedError, r"no GPU to images as torch; .*no GPU to images as png\)$", 2),
+        ((404, b"<html>"), PlannerGoneError, "a web page", 1),
+        ((503, b"busy"), PlannerLateError, "too busy", 1),
+        ((422, b'{"detail": "other members"}'), PlannerGoneError, "another version", 2),
+    ],
+)
+def test_auto_says_what_came_of_both_and_gives_up_on_who_is_no_model_server(
+    reply: Reply, error: type[Exception], says: str, asked: int
+) -> None:
+    with scripted(lambda path, body: reply if path == "/infer" else (200, b"true")) as server:
+        with pytest.raises(error, match=says):
+            planner(server.url, "auto").plan(observed())
+        assert server.paths.count("/infer") == asked
+
+
+def test_a_server_that_hangs_up_on_images_is_asked_in_the_other_form() -> None:
+    """As a server does that is no framework's, and raises."""
+    with scripted(
+        lambda path, body: reads_only("png")(path, body) if b"iVBORw0KGgo" in body or path != "/infer" else None
+    ) as server:
+        one = planner(server.url, "auto")
+        assert one.plan(observed()).waypoints[0, 0] == 1.0 and server.paths == ["/infer", "/reset", "/infer"]
+        with pytest.raises(PlannerAwayError, match=r"hung up.*as torch, try --image-format png, or auto"):
+            planner(server.url, "torch").plan(observed())
+    with (
+        scripted(lambda path, body: None) as server,
+        pytest.raises(PlannerAwayError, match="hung up before answering /reset"),
+    ):
+        planner(server.url, "auto").plan(observed())
+
+
+def test_a_model_that_planned_before_is_not_told_of_images() -> None:
+    replies = [(200, GOOD), (500, b"out of memory")]
+    with scripted(lambda path, body: replies.pop(0)) as server:
+        one = planner(server.url, "torch")
+        one.plan(observed())
+        with pytest.raises(ModelFailedError, match=r"out of memory\)$"):
+            one.plan(observed(1))
 
 
 @pytest.mark.parametrize(("_", "reply", "says"), FAILURES, ids=[name for name, _, _ in FAILURES])

@@ -62,6 +62,20 @@ def test_other_routes_pages_of_browsers_and_packed_bodies_are_refused(server: Pl
     assert ask(server, "POST", "/infer", b"{}", **{"content-encoding": "gzip"}).status_code == 415
 
 
+def test_the_first_refusal_of_a_kind_is_a_line_on_the_terminal(capfd: pytest.CaptureFixture[str]) -> None:
+    with PlannerServer(PlannerSession(Looking())) as strict:
+        for _ in range(3):
+            assert ask(strict, "POST", "/infer", b"{}", **{"content-encoding": "gzip"}).status_code == 415
+            assert ask(strict, "POST", "/infer", body(0)).status_code == 415
+            assert ask(strict, "POST", "/infer", b"{}").status_code == 422
+            assert ask(strict, "GET", "/get_actors%0Afake%1b[2J").status_code == 404
+    packed, tensors, unreadable, unknown = capfd.readouterr().err.splitlines()
+    assert "refused POST /infer (status 415)" in packed and "uncompressed" in packed
+    assert "CAM_FRONT" in tensors and "start the server with --accept-torch-tensors" in tensors
+    assert "the request has no images" in unreadable and "docs/extensions/http.md" in unreadable
+    assert "GET /get_actors" in unknown and "use GET /alive" in unknown and "\x1b" not in unknown
+
+
 def test_a_sample_of_malformed_requests(server: PlannerServer, capfd: pytest.CaptureFixture[str]) -> None:
     for name, sent, whole in malformed(48, seed=1):
         reply = answered(server.port, sent, whole)
