@@ -16,7 +16,7 @@ from benchmark.datasets.fingerprint import compute_fingerprint
 from benchmark.datasets.split_names import compute_shifts_us, sort_as_exported
 from benchmark.errors import InputError
 from benchmark.extensions.infos.ego_trajectory import ConverterCanMessages
-from benchmark.extensions.infos.exporting import CONVERTED_PREFIX, InfoSettings, export_infos
+from benchmark.extensions.infos.exporting import CONVERTED_PREFIX, InfoSettings, build_info_files, export_infos
 from benchmark.extensions.infos.repairs import build_category_numbers
 from benchmark.extensions.infos.repositories import REPOSITORIES, RepositoryName
 from benchmark.extensions.infos.scene_infos import classify_goals
@@ -244,20 +244,63 @@ def test_readers_find_variants_one_after_the_other(variants: Path, cured: Path) 
 
 
 def _by_token(root: Path, beside: Path, repository: RepositoryName) -> dict[str, dict[str, Any]]:
-    infos = exported(root, beside.parent / f"converted-{repository}", repository, as_converted=True)
-    return {info["token"]: info for info in infos}
+    settings = InfoSettings(repository, as_converted=True)
+    return {info["token"]: info for info in build_info_files(root, REPOSITORIES[repository], settings).parts["val"]}
 
 
 def test_as_converted_cures_nothing(variants: Path, tmp_path: Path) -> None:
-    infos = exported(variants, tmp_path, "vad", as_converted=True)
+    found = build_info_files(variants, REPOSITORIES["vad"], InfoSettings("vad", as_converted=True))
+    infos = found.parts["val"]
     times = [info["timestamp"] for info in infos]
     assert len(set(times)) == len(times) / 3
     assert not any(info["can_bus"].any() for info in infos)
     # Row 16 of 23 is the car; of 32 it is 17.
     assert {int(row[8]) for info in infos for row in info["gt_agent_lcf_feat"]} == {16}
-    files = sorted(path.name for path in tmp_path.rglob("*") if path.is_file())
-    assert files == ["vad_nuscenes_infos_temporal_train.pkl", "vad_nuscenes_infos_temporal_val.pkl"]
-    assert not (tmp_path / "nuscenes").exists()
+    assert any("2-8 for people" in said for said in found.unrepaired)
+    assert any("zeros as model input" in said for said in found.unrepaired)
+
+
+@pytest.mark.path
+def test_what_converters_write_is_scored_unless_scenes_have_the_same_time(variants: Path, tmp_path: Path) -> None:
+    root = plain_root(tmp_path / "root", "scene-9901", "scene-0061", frames="keyframes")
+    export_infos(root, tmp_path / "to", InfoSettings("sparsedrive"))
+    done = export_infos(root, tmp_path / "to", InfoSettings("sparsedrive", as_converted=True))
+    assert any("in the train file" in said for said in done.unrepaired)
+    assert not (tmp_path / "to" / "sparsedrive_departures.json").exists()
+    # As its configuration finds them: `data/nuscenes` is the folder beside the infos.
+    (tmp_path / "data").symlink_to(tmp_path / "to")
+    infos = read(tmp_path / "to" / "nuscenes_infos_val.pkl")
+    assert all((tmp_path / info["cams"]["CAM_BACK"]["data_path"]).is_file() for info in infos)
+    assert future_boxes(infos) == [min(6, 8 - at) for at in range(9)]
+    words = ("data", "export", "infos", variants, "--for", "sparsedrive", "--to", tmp_path / "no", "--planning-only")
+    said = refusal(*words, "--as-converted")
+    assert said.endswith(
+        f"run it without --as-converted: challenger-bench data export infos {variants} --for "
+        f"sparsedrive --to {tmp_path / 'no'}"
+    )
+    assert not (tmp_path / "no").exists()
+    infos = build_info_files(variants, REPOSITORIES["sparsedrive"], InfoSettings("sparsedrive", as_converted=True))
+    with pytest.raises(IndexError):
+        future_boxes(infos.parts["val"])
+    assert len(future_boxes(exported(variants, tmp_path / "moved", "sparsedrive"))) == 27
+
+
+def future_boxes(infos: list[dict[str, Any]]) -> list[int]:
+    """How many later samples SparseDrive's planning metric takes boxes of, by its reader's rule re-stated.
+
+    Infos are sorted by time; the next six are taken until the scene ends, and one is indexed for every step that the
+    recorded future has.
+    """
+    infos = sorted(infos, key=lambda info: int(info["timestamp"]))
+    counts = []
+    for at, info in enumerate(infos):
+        boxes = []
+        for later in infos[at + 1 : at + 7]:
+            if later["scene_token"] != info["scene_token"]:
+                break
+            boxes.append(later["gt_boxes"])
+        counts.append(len([boxes[step] for step in range(int(info["gt_ego_fut_masks"].sum()))]))
+    return counts
 
 
 def test_suffixed_names_keep_their_can_bus(cured: Path) -> None:
@@ -327,8 +370,10 @@ def test_a_split_of_several_is_chosen_and_stands_in_the_val_file(tmp_path: Path)
     assert len(infos) == 5 and {info["scene_token"] for info in infos} == {infos[0]["scene_token"]}
     said = [found["what"] for found in departures(tmp_path / "to", "uniad")]
     assert any("among its training scenes" in what for what in said) and any("are left out" in what for what in said)
-    converted = export_infos(tmp_path / "root", tmp_path / "converted", InfoSettings("uniad", as_converted=True))
-    assert sorted(converted.files.values()) == [5, 5]
+    converted = InfoSettings("uniad", as_converted=True)
+    assert sorted(export_infos(tmp_path / "root", tmp_path / "converted", converted).files.values()) == [5, 5]
+    with pytest.raises(InputError, match="takes the whole root"):
+        export_infos(tmp_path / "root", tmp_path / "no", replace(converted, split="train"))
 
 
 def test_folders_of_variant_roots_get_a_folder_each(tmp_path: Path) -> None:
@@ -378,9 +423,29 @@ def test_the_command_says_what_it_did(variants: Path, tmp_path: Path, capsys: py
     assert bytes_below(tmp_path / "to") == first
 
 
-def test_sparsedrive_needs_large_images(variants: Path, tmp_path: Path) -> None:
-    said = refusal("data", "export", "infos", variants, "--for", "sparsedrive", "--to", tmp_path / "to")
-    assert "32x18" in said and "--size 1600x900" in said and "--image-size 1600x900" in said
+def test_images_matter_to_networks_alone(variants: Path, healthy: Path, tmp_path: Path) -> None:
+    said = export_infos(variants, tmp_path / "to", InfoSettings("sparsedrive")).unrepaired
+    (warning,) = [sentence for sentence in said if "32x18" in sentence]
+    assert "would see black" in warning and "--size 1600x900" in warning and "--image-size 1600x900" in warning
+    quiet = export_infos(variants, tmp_path / "to", InfoSettings("sparsedrive", planning_only=True)).unrepaired
+    assert set(said) - set(quiet) == {warning}
+    bare = Path(shutil.copytree(healthy, tmp_path / "bare"))
+    _no_cameras(bare)
+    for repository in REPOSITORIES:
+        infos = exported(bare, tmp_path / "none" / repository, repository)
+        assert len(infos) == 9 and all(info["cams"] == {} for info in infos)
+        assert (
+            infos[0]["gt_boxes"].tolist()
+            == exported(healthy, tmp_path / repository, repository)[0]["gt_boxes"].tolist()
+        )
+    said = export_infos(bare, tmp_path / "none" / "vad", InfoSettings("vad")).unrepaired
+    assert any("1 scene has no images" in sentence for sentence in said)
+    (file := next(healthy.glob("samples/CAM_BACK/*"))).rename(tmp_path / "away")
+    export_infos(healthy, tmp_path / "planning", InfoSettings("vad", planning_only=True))
+    (tmp_path / "away").rename(file)
+
+
+def test_sparsedrive_finds_map_elements(tmp_path: Path) -> None:
     root = plain_root(tmp_path / "root", renderer=LargeRenderer(), frames="keyframes")
     infos = exported(root, tmp_path / "large", "sparsedrive")
     assert [len(info["map_annos"][1]) for info in infos] == [3] * 9 and infos[0]["ego_status"].any()
@@ -406,6 +471,12 @@ def _no_cameras(root: Path) -> None:
     path.write_text(json.dumps([row for row in json.loads(path.read_text()) if not row["camera_intrinsic"]]))
 
 
+def _no_back_camera(root: Path) -> None:
+    path = root / "v1.0-trainval" / "sample_data.json"
+    rows = json.loads(path.read_text())
+    path.write_text(json.dumps([row for row in rows if "/CAM_BACK/" not in row["filename"]]))
+
+
 def _written(path: str, text: str) -> Any:
     return lambda root: next(root.glob(path)).write_text(text)
 
@@ -426,8 +497,8 @@ def _line_of_one_node(root: Path) -> None:
         (_without("maps/expansion/boston*"), "--for uniad", "boston-seaport.json, which official code opens"),
         (_without("maps/expansion/boston*"), "--for sparsedrive --as-converted", "the source of map elements"),
         (_without("v1.0-trainval/log.json"), "--for vad", "lacks log.json"),
-        (_no_cameras, "--for uniad", "no image of CAM_FRONT"),
-        (_no_cameras, "--for uniad --as-converted", "no image of CAM_FRONT"),
+        (_no_back_camera, "--for uniad", "no image of CAM_BACK at"),
+        (_no_cameras, "--for uniad --as-converted", "or leave --as-converted out"),
         (_changed("log", location="atlantis"), "--for uniad", "lies in atlantis"),
         (_changed("sample_annotation", visibility_token=""), "--for uniad --as-converted", "is not a number"),
         (_changed("ego_pose", rotation=[1, 1, 0, 0]), "--for uniad --as-converted", "of norm one"),
@@ -443,8 +514,8 @@ def _line_of_one_node(root: Path) -> None:
         ),
         (_line_of_one_node, "--for sparsedrive --as-converted", "is not a well-formed map expansion"),
         (_written("can_bus/*_pose.json", '[{"utime": 1700594060000000}]'), "--for vad", "has no field"),
-        (lambda _: None, "--for vad --split adv", "has no split 'adv'"),
-        (lambda _: None, "--for vad --split val --as-converted", "leave --split out"),
+        (lambda _: None, "--for vad --split adv", "split 'adv' of root is missing"),
+        (lambda _: None, "--for vad --split mine", "has no split 'mine'"),
         (lambda _: None, "--for vad --root-as data/nuscenes", "must be an absolute path"),
         (lambda _: None, "--for momad", "momad"),
         (lambda _: None, "--for vad --tables v9", "no version folder 'v9'"),
