@@ -260,49 +260,6 @@ def test_as_converted_cures_nothing(variants: Path, tmp_path: Path) -> None:
     assert any("zeros as model input" in said for said in found.unrepaired)
 
 
-@pytest.mark.path
-def test_what_converters_write_is_scored_unless_scenes_have_the_same_time(variants: Path, tmp_path: Path) -> None:
-    root = plain_root(tmp_path / "root", "scene-9901", "scene-0061", frames="keyframes")
-    export_infos(root, tmp_path / "to", InfoSettings("sparsedrive"))
-    done = export_infos(root, tmp_path / "to", InfoSettings("sparsedrive", as_converted=True))
-    assert any("in the train file" in said for said in done.unrepaired)
-    assert not (tmp_path / "to" / "sparsedrive_departures.json").exists()
-    # As its configuration finds them: `data/nuscenes` is the folder beside the infos.
-    (tmp_path / "data").symlink_to(tmp_path / "to")
-    infos = read(tmp_path / "to" / "nuscenes_infos_val.pkl")
-    assert all((tmp_path / info["cams"]["CAM_BACK"]["data_path"]).is_file() for info in infos)
-    assert future_boxes(infos) == [min(6, 8 - at) for at in range(9)]
-    words = ("data", "export", "infos", variants, "--for", "sparsedrive", "--to", tmp_path / "no", "--planning-only")
-    said = refusal(*words, "--as-converted")
-    assert said.endswith(
-        f"run it without --as-converted: challenger-bench data export infos {variants} --for "
-        f"sparsedrive --to {tmp_path / 'no'}"
-    )
-    assert not (tmp_path / "no").exists()
-    infos = build_info_files(variants, REPOSITORIES["sparsedrive"], InfoSettings("sparsedrive", as_converted=True))
-    with pytest.raises(IndexError):
-        future_boxes(infos.parts["val"])
-    assert len(future_boxes(exported(variants, tmp_path / "moved", "sparsedrive"))) == 27
-
-
-def future_boxes(infos: list[dict[str, Any]]) -> list[int]:
-    """How many later samples SparseDrive's planning metric takes boxes of, by its reader's rule re-stated.
-
-    Infos are sorted by time; the next six are taken until the scene ends, and one is indexed for every step that the
-    recorded future has.
-    """
-    infos = sorted(infos, key=lambda info: int(info["timestamp"]))
-    counts = []
-    for at, info in enumerate(infos):
-        boxes = []
-        for later in infos[at + 1 : at + 7]:
-            if later["scene_token"] != info["scene_token"]:
-                break
-            boxes.append(later["gt_boxes"])
-        counts.append(len([boxes[step] for step in range(int(info["gt_ego_fut_masks"].sum()))]))
-    return counts
-
-
 def test_suffixed_names_keep_their_can_bus(cured: Path) -> None:
     for repository in ("uniad", "vad"):
         infos = read(cured / REPOSITORIES[repository].file_name("v1.0-trainval", "val"))
@@ -421,28 +378,6 @@ def test_the_command_says_what_it_did(variants: Path, tmp_path: Path, capsys: py
     said = json.loads(capsys.readouterr().out)
     assert sum(said["files"].values()) == 27 and len(said["departures"]) == 5 and len(said["not_cured"]) == 2
     assert bytes_below(tmp_path / "to") == first
-
-
-def test_images_matter_to_networks_alone(variants: Path, healthy: Path, tmp_path: Path) -> None:
-    said = export_infos(variants, tmp_path / "to", InfoSettings("sparsedrive")).unrepaired
-    (warning,) = [sentence for sentence in said if "32x18" in sentence]
-    assert "would see black" in warning and "--size 1600x900" in warning and "--image-size 1600x900" in warning
-    quiet = export_infos(variants, tmp_path / "to", InfoSettings("sparsedrive", planning_only=True)).unrepaired
-    assert set(said) - set(quiet) == {warning}
-    bare = Path(shutil.copytree(healthy, tmp_path / "bare"))
-    _no_cameras(bare)
-    for repository in REPOSITORIES:
-        infos = exported(bare, tmp_path / "none" / repository, repository)
-        assert len(infos) == 9 and all(info["cams"] == {} for info in infos)
-        assert (
-            infos[0]["gt_boxes"].tolist()
-            == exported(healthy, tmp_path / repository, repository)[0]["gt_boxes"].tolist()
-        )
-    said = export_infos(bare, tmp_path / "none" / "vad", InfoSettings("vad")).unrepaired
-    assert any("1 scene has no images" in sentence for sentence in said)
-    (file := next(healthy.glob("samples/CAM_BACK/*"))).rename(tmp_path / "away")
-    export_infos(healthy, tmp_path / "planning", InfoSettings("vad", planning_only=True))
-    (tmp_path / "away").rename(file)
 
 
 def test_sparsedrive_finds_map_elements(tmp_path: Path) -> None:
