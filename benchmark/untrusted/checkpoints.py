@@ -50,7 +50,8 @@ def read_stored(path: Path, limits: Limits = CHECKPOINT, *, checksums: bool = Tr
     """Find the tensors of a checkpoint without trusting it.
 
     Takes a checkpoint with a state dict among its entries (mmcv's ``{meta, state_dict, optimizer}``, timm's, ...) or a
-    bare one, of any PyTorch version; for the checksums of an archive all of it is read. Raises `InputError` if it would run code or is not what it claims.
+    bare one, of any PyTorch version; for the checksums of an archive all of it is read. Raises `InputError` if it would
+    run code or is not what it claims.
     """
     _require_bytes(path, limits)
     structure = _structure(path, read_in_child(path, "checkpoint", limits))
