@@ -105,7 +105,10 @@ class TensorMatch:
             name, (have, want) = next(iter(classes.items()))
             meanings.append(f"it was trained for other classes ({name.rpartition('.')[0]} tells {have}, not {want})")
         if self.parts:
-            meanings.append(f"it has nothing of {', '.join(self.parts)}, as files of an earlier stage of training")
+            more = f" and {len(self.parts) - 3} more parts" if len(self.parts) > 3 else ""
+            meanings.append(
+                f"it has nothing of {', '.join(self.parts[:3])}{more}, as files of an earlier stage of training"
+            )
         return "".join(f", so {meaning}" for meaning in meanings)
 
 

@@ -285,7 +285,7 @@ def _choose_entries(loaded: dict[Any, Any]) -> tuple[Any, str]:
     """
     plain = next((name for name in _PLAIN if _has_tensors(dict.get(loaded, name))), "")
     for name in _AVERAGED:
-        averaged = dict.get(loaded, name)
+        averaged: Any = dict.get(loaded, name)
         for inner in _INNER if isinstance(averaged, dict) else ():
             averaged = dict.get(averaged, inner) if _has_tensors(dict.get(averaged, inner)) else averaged
         if not _has_tensors(averaged):
