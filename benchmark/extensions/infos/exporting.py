@@ -51,8 +51,8 @@ class InfoSettings:
         repository: ``uniad``, ``vad`` or ``sparsedrive`` (DiffusionDrive reads the same).
         version: Version folder; needed only where a root has several.
         split: Split; where none is named ``val`` if the root has it, else its only one.
-        as_converted: Exactly what the converter would write of the whole root: nothing cured, nothing refused that it
-            accepts.
+        as_converted: Exactly what the converter would write of the whole root: nothing is cured, and of what it accepts
+            only scenes that have the same time are refused.
         root_as: Where the root is for the code that will read the files, if not where it is here.
         planning_only: No network will open images: nothing is asked or said of them.
     """
