@@ -2,7 +2,7 @@
 
 import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Self
@@ -43,16 +43,17 @@ from benchmark.weights.folders import read_checkpoint
 class TensorMatch:
     """Tensors against those that a model needs, in the order of the model or of the file.
 
-    `misshapen` are name, shape in the file, shape in the model; `mistyped` whole numbers where the model has fractions,
-    or the other way round.
+    `misshapen` are shape in the file and shape in the model, by name; `mistyped` whole numbers where the model has
+    fractions, or the other way round; `parts` parts of the model of which the file has nothing.
     """
 
     model: Model
     agreeing: int
     missing: tuple[str, ...]
     extra: tuple[str, ...]
-    misshapen: tuple[str, ...]
+    misshapen: Mapping[str, tuple[tuple[int, ...], tuple[int, ...]]]
     mistyped: tuple[str, ...]
+    parts: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, tensors: Mapping[str, Tensor], model: Model) -> Self:
@@ -66,10 +67,9 @@ class TensorMatch:
             agreeing=len(set(shared) - set(misshapen) - set(mistyped)),
             missing=tuple(name for name in expected if name not in tensors),
             extra=tuple(name for name in tensors if name not in expected),
-            misshapen=tuple(
-                f"{name} {tuple(tensors[name].shape)} instead of {tuple(expected[name].shape)}" for name in misshapen
-            ),
+            misshapen={name: (tuple(tensors[name].shape), tuple(expected[name].shape)) for name in misshapen},
             mistyped=tuple(mistyped),
+            parts=_list_absent_parts(tensors, [name for name in expected if name != model.net.anchors]),
         )
 
     @property
@@ -84,13 +84,46 @@ class TensorMatch:
 
     def differences(self) -> str:
         """All kinds of differences in words, with the first example of each."""
+        shapes = [f"{name} {have} instead of {want}" for name, (have, want) in self.misshapen.items()]
         kinds = (
             (self.missing, "missing"),
             (self.extra, "too many"),
-            (self.misshapen, "of another shape"),
+            (shapes, "of another shape"),
             (self.mistyped, "of another kind of number"),
         )
         return "; ".join(f"{len(names)} {kind} (first: {names[0]})" for names, kind in kinds if names)
+
+    def meaning(self) -> str:
+        """What the differences mean, as far as they tell, with a comma before; for a sentence on the file."""
+        meanings = []
+        classes = {
+            name: (have[0], want[0])
+            for name, (have, want) in self.misshapen.items()
+            if _CLASSIFIER.search(name) and have[1:] == want[1:] and have and want
+        }
+        if classes:
+            name, (have, want) = next(iter(classes.items()))
+            meanings.append(f"it was trained for other classes ({name.rpartition('.')[0]} tells {have}, not {want})")
+        if self.parts:
+            more = f" and {len(self.parts) - 3} more parts" if len(self.parts) > 3 else ""
+            meanings.append(
+                f"it has nothing of {', '.join(self.parts[:3])}{more}, as files of an earlier stage of training"
+            )
+        return "".join(f", so {meaning}" for meaning in meanings)
+
+
+_CLASSIFIER: Final = re.compile(r"(^|[._])cls|class")
+
+
+def _list_absent_parts(tensors: Collection[str], expected: Sequence[str]) -> tuple[str, ...]:
+    """Parts of a model, by the first one or two words of names, of which there is not one tensor."""
+    absent: list[str] = []
+    for words in (1, 2):
+        own = [name for name in expected if not any(name.startswith(f"{part}.") for part in absent)]
+        parts = {".".join(name.split(".")[:words]) for name in own}
+        present = {".".join(name.split(".")[:words]) for name in tensors}
+        absent += sorted(parts - present - set(own))
+    return tuple(absent)
 
 
 def expected_tensors(model: Model, shapes: Mapping[str, Sequence[int]]) -> dict[str, Tensor]:
@@ -146,12 +179,18 @@ def _describe_mismatch(path: Path, compared: Sequence[TensorMatch], wanted: str 
     nearest = by_name[wanted] if wanted else max(compared, key=lambda found: found.agreeing)
     if not nearest.agreeing:
         target = wanted or f"any of {', '.join(by_name)}"
-        return f"{path} has no tensor of {target}; give a checkpoint of one"
+        return f"{path} has no tensor of {target}; give a checkpoint of one{_OWN_NETWORK}"
     return (
         f"{path} is not a checkpoint of {nearest.model.name}"
-        f"{'' if wanted else ', which it resembles most'}: of its tensors, {nearest.differences()}; get the official "
-        "file of this version of the model (challenger-bench weights list)"
+        f"{'' if wanted else ', which it resembles most'}: of its tensors, {nearest.differences()}{nearest.meaning()}; "
+        f"get the official file of this version of the model (challenger-bench weights list){_OWN_NETWORK}"
     )
+
+
+_OWN_NETWORK: Final = (
+    ", or let a network of your own run in its own code: challenger-bench eval --results FILE scores the result file "
+    "of its evaluation, challenger-bench eval --model NAME=http://HOST:PORT asks it over HTTP (docs/planners.md)"
+)
 
 
 _NORM: Final = re.compile(
@@ -161,12 +200,13 @@ _NORM: Final = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class ImportedWeights:
-    """Weights in the cache; `tensors` and `parameters` say how many of each."""
+    """Weights in the cache; `tensors` and `parameters` say how many of each, `note` which of several copies."""
 
     path: Path
     provenance: Provenance
     tensors: int
     parameters: int
+    note: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -179,6 +219,7 @@ class ImportedWeights:
         return (
             f"{self.path}: {known.model}, {pluralise(self.tensors, 'tensor')}, {self.parameters / 1e6:.1f} M "
             f"parameters, pixel values {known.normalisation} (source: {known.normalisation_from})"
+            f"{self.note and f'; {self.note}'}"
         )
 
 
@@ -213,7 +254,7 @@ def import_checkpoint(
     official = official_weights(matched_model.name)
     provenance = Provenance(
         model=matched_model.name,
-        source=path.name,
+        source=", ".join(filter(None, (path.name, checkpoint.note))),
         source_sha256=digest,
         normalisation=wanted,
         normalisation_from=said_by,
@@ -224,7 +265,8 @@ def import_checkpoint(
     )
     target = weights_path(cache or weights_folder(), provenance)
     write_weights(target, tensors, provenance)
-    return ImportedWeights(target, provenance, len(tensors), sum(tensor.numel() for tensor in tensors.values()))
+    parameters = sum(tensor.numel() for tensor in tensors.values())
+    return ImportedWeights(target, provenance, len(tensors), parameters, checkpoint.note)
 
 
 def fetch_checkpoint(weights: PublishedWeights, cache: Path, *, normalisation: str | None = None) -> ImportedWeights:

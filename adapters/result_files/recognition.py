@@ -28,7 +28,7 @@ FORMATS: Final[Mapping[str, ResultFormat]] = {
         text_answers.CONVERSATION,
         trajectories.POSITIONS,
         text_answers.GPTDRIVER,
-        trajectories.WITH_HEADING,
+        trajectories.BATCHES,
     )
 }
 """Every format that carries plans, by its name."""
@@ -173,7 +173,7 @@ def _recognise_pickle(path: Path, content: Any) -> ResultFormat:
         if isinstance(first, str):
             return text_answers.GPTDRIVER
         if isinstance(first, np.ndarray | list | tuple):
-            return trajectories.WITH_HEADING if np.ndim(_numeric(first)) == 3 else trajectories.POSITIONS
+            return trajectories.BATCHES if np.ndim(_numeric(first)) == 3 else trajectories.POSITIONS
     refuse(path, "unknown", f"its pickle holds a {_kind(content)} of no known format", _ADVICE)
 
 

@@ -1,4 +1,4 @@
-"""Dictionaries from tokens to arrays: Agent-Driver and GPT-Driver (6 x 2), AD-MLP (1 x 6 x 3)."""
+"""Dictionaries from tokens to arrays: Agent-Driver, GPT-Driver (6 x 2), AD-MLP (1 x 6 x 3), SparseWorld (1 x 6 x 2)."""
 
 from pathlib import Path
 from typing import Any, Final
@@ -19,15 +19,18 @@ def read_positions(path: Path, content: Any, samples: RecordedSamples) -> FilePl
     return FilePlans(FileFrame.LIDAR, rows, np.array(plans), "tokens", "each sample by its token")
 
 
-def read_with_heading(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
-    """Plans of AD-MLP's ``output_data.pkl``, whose third column is a heading that is not needed: 1 x 6 x 3 numbers."""
+def read_batches(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
+    """Plans of AD-MLP's ``output_data.pkl``: 1 x 6 x 3 numbers, the third of which, a heading, is not needed.
+
+    SparseWorld's files are the same without it: 1 x 6 x 2.
+    """
     rows = find_rows(path, list(content), samples)
     plans = [
-        read_numbers(path, plan, f"the plan of sample {token}", (1, PLAN_STEPS, 3))[0, :, :2]
+        read_numbers(path, plan, f"the plan of sample {token}", (1, PLAN_STEPS, 3), (1, PLAN_STEPS, 2))[0, :, :2]
         for token, plan in content.items()
     ]
     return FilePlans(FileFrame.LIDAR, rows, np.array(plans), "tokens", "each sample by its token")
 
 
 POSITIONS: Final = ResultFormat("pred-trajs", "Agent-Driver, GPT-Driver", "agent-driver", read_positions)
-WITH_HEADING: Final = ResultFormat("admlp", "AD-MLP", "stp3", read_with_heading)
+BATCHES: Final = ResultFormat("admlp", "AD-MLP, SparseWorld", "stp3", read_batches)

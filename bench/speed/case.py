@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from benchmark.machine import workers
+
 Side = Callable[[Any], tuple[float, Any]]
 """Works on a state; how many units that were, and what came of it."""
 
@@ -64,9 +66,8 @@ class Case:
 
 
 def processor_seconds() -> float:
-    """Of this process, and of those that it waited for; other work on the machine disturbs it least."""
-    children = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return time.process_time() + children.ru_utime + children.ru_stime
+    """Of this process, its workers and those that it waited for; other work on the machine disturbs it least."""
+    return sum(workers.processor_seconds())
 
 
 def peak_mb() -> float:

@@ -7,6 +7,7 @@ import codecs
 import errno
 import io
 import sys
+import time
 import traceback
 import unicodedata
 from collections.abc import Callable, Iterator, Mapping
@@ -44,7 +45,7 @@ from benchmark.machine.extension import (
     parse_extension_name,
     warn,
 )
-from benchmark.machine.workers import collect_rarely
+from benchmark.machine.workers import collect_rarely, processor_seconds
 from benchmark.untrusted.files import to_one_line
 
 Groups = Mapping[str, typer.Typer]
@@ -202,11 +203,15 @@ _PATH_ERRNOS: Final = frozenset(
 
 
 def main() -> None:
-    """Run the command line; errors of the user are one sentence and exit code 2, with a traceback if ``--debug``."""
+    """Run the command line; errors of the user are one sentence and exit code 2, with a traceback if ``--debug``.
+
+    With ``--timings`` it ends with a line on the time that it took.
+    """
+    started = time.monotonic()
     collect_rarely()
     replace_unencodable_characters()
     debug = "--debug" in sys.argv
-    arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
+    arguments = [argument for argument in sys.argv[1:] if argument not in ("--debug", "--timings")]
     command = typer.main.get_command(app)
     try:
         _require_text(arguments)
@@ -237,6 +242,13 @@ def main() -> None:
     if code == _INTERRUPTED:
         # Typer makes it of an interrupt that it sees first.
         typer.echo("interrupted; finished work is kept, the same command resumes", err=True)
+    if "--timings" in sys.argv:
+        own_s, workers_s = processor_seconds()
+        typer.echo(
+            f"{time.monotonic() - started:.1f} s on the clock, {own_s + workers_s:.1f} s of CPU, {workers_s:.1f} s of "
+            "them in workers and other processes",
+            err=True,
+        )
     sys.exit(code if isinstance(code, int) else 0)
 
 
@@ -269,7 +281,13 @@ def _help(text: str) -> int:
 
 
 @app.callback(invoke_without_command=True)
-def _print_version(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+def _print_version(
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+    timings: Annotated[
+        bool, typer.Option("--timings", help="End any command with the seconds and CPU seconds that it took.")
+    ] = False,
+) -> None:
+    # `main` takes --timings, which may stand anywhere.
     if version:
         typer.echo(VERSION)
         raise typer.Exit

@@ -10,10 +10,11 @@ import typer
 
 from benchmark import api
 from benchmark.cli import options as shared
-from benchmark.cli.output import print_json, print_tables
+from benchmark.cli.output import print_json, print_tables, repeat_out_option
 from benchmark.cli.settings import Option, command
 from benchmark.cli.splits import say_default_split
 from benchmark.errors import InputError
+from benchmark.report.words import format_options
 
 if TYPE_CHECKING:
     from benchmark.metrics.transfer import TransferMatrix
@@ -101,13 +102,20 @@ class TransferOptions:
 def transfer_command(options: TransferOptions) -> None:
     """Show who else fails the scenes that one planner fails: the surrogate-filtered matrix, from run records."""
     from benchmark.machine.path_checks import require_output_file
+    from benchmark.machine.workspace import EMBEDDED
     from benchmark.metrics.disagreement import EXACT
     from benchmark.protocols import find_protocol as known_protocol
     from benchmark.records.run import NATIVE, find_records
     from benchmark.records.store import describe_recorded, list_recorded
     from benchmark.report.plots import FORMATS
     from leaderboard.figures.heat_map import write_heat_map, write_lift_map
-    from leaderboard.tables.transfer import agreement_table, lift_table, transfer_matrices, transfer_table
+    from leaderboard.tables.transfer import (
+        agreement_table,
+        describe_single,
+        lift_table,
+        transfer_matrices,
+        transfer_table,
+    )
 
     if options.protocol != NATIVE:
         known_protocol(options.protocol)
@@ -154,9 +162,10 @@ def transfer_command(options: TransferOptions) -> None:
         )
         return
     make = (transfer_table, lift_table, *([agreement_table] if options.pairs else []))
+    compared = {name: matrix for name, matrix in matrices.items() if len(matrix.planners) > 1}
     shown = [
         (name, shown_matrix)
-        for name, matrix in matrices.items()
+        for name, matrix in compared.items()
         for shown_matrix in (
             matrix,
             *(_adversary_matrices(known, options.split, name) if options.protocol == EXACT else ()),
@@ -164,6 +173,10 @@ def transfer_command(options: TransferOptions) -> None:
     ]
     tables = [table_of(name, matrix) for name, matrix in shown for table_of in make]
     print_tables(tables, wide=options.wide, verbose=options.verbose)
+    for name, matrix in matrices.items():
+        if name not in compared:
+            data = format_options(data=None if name == EMBEDDED else "ROOT", split=options.split, model="NAME")
+            typer.echo(f"{describe_single(name, matrix)}: challenger-bench eval{data}{repeat_out_option(options.out)}")
 
 
 def _adversary_matrices(known: "Sequence[RunRecord]", split: str, data: str) -> "list[TransferMatrix]":

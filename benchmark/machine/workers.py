@@ -12,12 +12,14 @@ import pickle
 import signal
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
+from multiprocessing.util import Finalize
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
 from benchmark.errors import InputError
@@ -45,6 +47,7 @@ _SLOW_TO_IMPORT: Final = ("cv2", "shapely", "benchmark.datasets.nuscenes")
 
 _number = 0
 _started = False
+_worker_seconds = 0.0
 
 
 class Executor(Protocol):
@@ -134,12 +137,10 @@ class LocalProcesses:
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(_list_preloads(function))
         needs_script = _needs_script(function)
-        begun = context.Value("i", 0)
+        begun, spent_s = context.Value("i", 0), context.Value("d", 0.0)
         _started = True
-        with (
-            ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker, initargs=(begun,)) as pool,
-            PROGRESS_REPORTER.work(label, total, count) as work,
-        ):
+        pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker, initargs=(begun, spent_s))
+        with _counted(spent_s), pool, PROGRESS_REPORTER.work(label, total, count) as work:
             try:
 
                 def submit(item: Item) -> "Future[Result]":
@@ -159,6 +160,21 @@ class LocalProcesses:
                 for worker in set(multiprocessing.active_children()) - before:
                     worker.terminate()
                 raise
+
+
+@contextmanager
+def _counted(spent_s: "Synchronized[float]") -> Iterator[None]:
+    """CPU seconds that workers note when they end are those of `processor_seconds`."""
+    global _worker_seconds
+    try:
+        yield
+    finally:
+        _worker_seconds += spent_s.value
+
+
+def processor_seconds() -> tuple[float, float]:
+    """CPU seconds of this process, and of its workers and other processes that it has waited for."""
+    return time.process_time(), sum(os.times()[2:4]) + _worker_seconds
 
 
 def map_ordered(
@@ -261,8 +277,10 @@ def worker_number() -> int:
     return _number
 
 
-def _begin_worker(begun: "Synchronized[int]") -> None:
+def _begin_worker(begun: "Synchronized[int]", spent_s: "Synchronized[float]") -> None:
     global _number
+    # Workers are the forkserver's children, so that the command itself is not told what they used.
+    Finalize(None, _add_own_seconds, args=(spent_s,), exitpriority=0)
     # A terminal interrupts all processes of a command at once; the main process handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with begun.get_lock():
@@ -272,6 +290,11 @@ def _begin_worker(begun: "Synchronized[int]") -> None:
     collect_rarely()
     threading.Thread(target=end_with_parent, daemon=True).start()
     single_threaded()
+
+
+def _add_own_seconds(spent_s: "Synchronized[float]") -> None:
+    with spent_s.get_lock():
+        spent_s.value += sum(os.times()[:4])
 
 
 def end_with_parent() -> None:

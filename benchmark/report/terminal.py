@@ -3,7 +3,7 @@
 import re
 import shutil
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Final
 
@@ -29,6 +29,8 @@ LEAST_WIDTH: Final = 40
 """A narrower terminal breaks lines itself; nothing sensible fits."""
 _LEAST_TEXT: Final = 10
 """Characters that a column of text keeps, however many numbers stand beside it."""
+_HYPHEN: Final = re.compile(r"(?<=\w-)(?=\w)")
+"""Where a name may break."""
 _GAP: Final = "  "
 _BOUND: Final = "\u00a0"
 """Stands between a name and its mark, and a number and its unit, while lines are broken."""
@@ -67,9 +69,9 @@ def align_columns(
 ) -> list[str]:
     """Lines of a table; the first ``text_columns`` are text (left-aligned), the others numbers.
 
-    Where it is wider than ``width``, heads break between words, then cells of text break wherever they must, then
-    columns of numbers go on below, with the columns of text again before them. Each column has at least ``least``
-    characters.
+    Where it is wider than ``width``, heads break between words, then cells of text and heads break behind hyphens, too,
+    then columns of numbers go on below, with the columns of text again before them. Only text that leaves no room for
+    a column of numbers breaks elsewhere. Each column has at least ``least`` characters.
     """
     heads, rows = [_bound(head) for head in heads], [[_bound(cell) for cell in row] for row in rows]
     least = least or (0,) * len(heads)
@@ -77,24 +79,31 @@ def align_columns(
     full_widths = [max(body, len(head)) for body, head in zip(bodies, heads)]
     if width is None or _total(full_widths) <= width:
         return _lines(heads, rows, full_widths, text_columns)
-    words = [max(body, _longest_word(head)) for body, head in zip(bodies, heads)]
+    words = [max(body, _longest(head.split(" "))) for body, head in zip(bodies, heads)]
     if _total(words) <= width:
         return _lines(heads, rows, _shrunk(full_widths, words, width), text_columns)
     texts, numbers = words[:text_columns], words[text_columns:]
-    few_letters = [min(width_of_text, _LEAST_TEXT) for width_of_text in texts]
+    columns = zip(*[heads, *rows]) if rows else ((head,) for head in heads)
+    parts = [_longest(part for cell in cells for part in _split_name(cell)) for cells in columns]
+    few_letters = [min(text, max(_LEAST_TEXT, part)) for text, part in zip(texts, parts)]
     shrunk_texts = _shrunk(texts, few_letters, width - _total(numbers) - len(_GAP))
     fits = _total([*shrunk_texts, *numbers]) <= width
-    texts = shrunk_texts if fits else _shrunk(texts, few_letters, width // 2)
-    room = width - _total(texts) - len(_GAP)
-    numbers = [max(body, min(number, room)) for body, number in zip(bodies[text_columns:], numbers)]
+    if not fits:
+        shrunk_texts = _shrunk(texts, few_letters, width // 2)
+        least_room = max(bodies[text_columns:], default=0) + len(_GAP)
+        shrunk_texts = _shrunk(shrunk_texts, [min(text, _LEAST_TEXT) for text in shrunk_texts], width - least_room)
+    room = width - _total(shrunk_texts) - len(_GAP)
+    few_digits = [
+        max(body, min(_longest(_split_name(head)), room))
+        for body, head in zip(bodies[text_columns:], heads[text_columns:])
+    ]
     lines: list[str] = []
-    for block in _blocks(numbers, room):
+    for block in _blocks(numbers if fits else few_digits, room):
         chosen = [*range(text_columns), *(text_columns + place for place in block)]
+        of_block = _shrunk([numbers[place] for place in block], [few_digits[place] for place in block], room)
         part = [[row[column] for column in chosen] for row in rows]
         lines += [""] if lines else []
-        lines += _lines(
-            [heads[column] for column in chosen], part, [*texts, *(numbers[place] for place in block)], text_columns
-        )
+        lines += _lines([heads[column] for column in chosen], part, [*shrunk_texts, *of_block], text_columns)
     return lines
 
 
@@ -106,8 +115,13 @@ def _total(widths: Sequence[int]) -> int:
     return sum(widths) + len(_GAP) * max(len(widths) - 1, 0)
 
 
-def _longest_word(head: str) -> int:
-    return max((len(word) for word in head.split(" ")), default=0)
+def _longest(parts: Iterable[str]) -> int:
+    return max(map(len, parts), default=0)
+
+
+def _split_name(text: str) -> list[str]:
+    """Parts that a cell may break between, without the spaces."""
+    return [part for word in text.split(" ") for part in _HYPHEN.split(word)]
 
 
 def _shrunk(widths: Sequence[int], least: Sequence[int], room: int) -> list[int]:
@@ -139,7 +153,17 @@ def _lines(heads: Sequence[str], rows: Sequence[Sequence[str]], widths: Sequence
 
 
 def _cell(text: str, width: int) -> list[str]:
-    return [text] if len(text) <= width else textwrap.wrap(text, max(width, 1), break_on_hyphens=True) or [""]
+    if len(text) <= width:
+        return [text]
+    lines = [""]
+    for word in filter(None, text.split(" ")):
+        for place, part in enumerate(_HYPHEN.split(word)):
+            gap = " " if lines[-1] and not place else ""
+            if len(lines[-1]) + len(gap) + len(part) <= width:
+                lines[-1] += gap + part
+            else:
+                lines += textwrap.wrap(part, max(width, 1), break_on_hyphens=False)
+    return lines if lines[0] else lines[1:] or [""]
 
 
 def _row_lines(cells: Sequence[Sequence[str]], widths: Sequence[int], text_columns: int, *, bottom: bool) -> list[str]:

@@ -30,6 +30,13 @@ _LOCAL_HEADER: Final = struct.Struct("<4s22xHH")
 _LONGEST_PICKLE_BYTES: Final = 1 << 28
 
 
+_PLAIN: Final = ("state_dict", "model", "model_state_dict", "module")
+_AVERAGED: Final = ("state_dict_ema", "model_ema", "ema_model", "ema_state_dict", "model_ema_state_dict", "ema")
+"""Entries of files in which weights lie: those of the last step, and those averaged over steps."""
+_INNER: Final = ("module", "state_dict", "model")
+"""Entries of an average in which its weights lie, beside its counters."""
+
+
 class _TypeStandIn:
     """Stands for a type of numbers, of storages or of tensors; ``name`` is empty for those that weights have not."""
 
@@ -191,8 +198,8 @@ def read_checkpoint_structure(stream: BinaryIO, limits: Limits) -> dict[str, Any
 
     ``tensors`` are rows of name, type, storage, first element, shape and strides, where the type is empty for what is
     no tensor of dense real numbers. ``storages`` have first byte and bytes of each, ``records`` first byte, bytes,
-    CRC-32 and name of everything that has a checksum. There are ``big_endian`` and ``configuration``, or ``wrong``,
-    words about a content that is no state dict.
+    CRC-32 and name of everything that has a checksum. There are ``note``, words on averaged weights if there are some,
+    ``big_endian`` and ``configuration``, or ``wrong``, words about a content that is no state dict.
     """
     if stream.read(2) == b"PK":
         stream.seek(0)
@@ -270,8 +277,32 @@ def _of_stream(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
     return {**_table(loaded, places, limits), "records": [], "big_endian": False}
 
 
+def _choose_entries(loaded: dict[Any, Any]) -> tuple[Any, str]:
+    """The state dict of a file, and a note where it has averaged weights, which are taken.
+
+    Beside an ``ema_state_dict`` that counts its steps, as mmengine writes it, they are the plain ones: it swaps both on
+    saving.
+    """
+    plain = next((name for name in _PLAIN if _has_tensors(dict.get(loaded, name))), "")
+    for name in _AVERAGED:
+        averaged: Any = dict.get(loaded, name)
+        for inner in _INNER if isinstance(averaged, dict) else ():
+            averaged = dict.get(averaged, inner) if _has_tensors(dict.get(averaged, inner)) else averaged
+        if not _has_tensors(averaged):
+            continue
+        taken, left = (plain, name) if plain and name == "ema_state_dict" and "steps" in averaged else (name, plain)
+        note = f"averaged weights ({taken}){f'; {left} holds those of the last step and is left out' if left else ''}"
+        tensors = {key: held for key, held in dict.items(averaged) if type(held) not in (int, float, bool)}
+        return (dict.get(loaded, plain) if taken == plain else tensors), note
+    return dict.get(loaded, plain or "state_dict", loaded), ""
+
+
+def _has_tensors(value: Any) -> bool:
+    return isinstance(value, dict) and any(isinstance(held, _TensorStandIn) for held in dict.values(value))
+
+
 def _table(loaded: Any, places: dict[str, tuple[int, int]], limits: Limits) -> dict[str, Any]:
-    entries = dict.get(loaded, "state_dict", loaded) if isinstance(loaded, dict) else None
+    entries, note = _choose_entries(loaded) if isinstance(loaded, dict) else (None, "")
     if not isinstance(entries, dict) or not len(entries):
         return {"wrong": "kind", "kind": to_one_line(type(loaded).__name__.strip("_"))}
     meta = dict.get(loaded, "meta")
@@ -288,6 +319,7 @@ def _table(loaded: Any, places: dict[str, tuple[int, int]], limits: Limits) -> d
         rows.append([name, *_describe_tensor(tensor, numbers)])
     return {
         "tensors": rows,
+        "note": note,
         "storages": list(map(list, places.values())),
         "configuration": configuration if type(configuration) is str else "",
     }

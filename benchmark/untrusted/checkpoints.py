@@ -35,20 +35,23 @@ class StoredCheckpoint:
     """Content of a PyTorch file.
 
     Tensors by name in the file's order, each inside its storage; storages are mapped bytes, and writing to them never
-    reaches the file; ``configuration`` is the training configuration that mmcv stores, or empty.
+    reaches the file; ``configuration`` is the training configuration that mmcv stores, or empty. ``note``
+    says which copy of the weights they are, where the file has averaged ones.
     """
 
     tensors: dict[str, TensorLocation]
     storages: tuple[NDArray[np.uint8], ...]
     big_endian: bool
     configuration: str
+    note: str = ""
 
 
 def read_stored(path: Path, limits: Limits = CHECKPOINT, *, checksums: bool = True) -> StoredCheckpoint:
     """Find the tensors of a checkpoint without trusting it.
 
-    Takes an mmcv checkpoint (``{meta, state_dict, optimizer}``) or a bare state dict, of any PyTorch version; for the
-    checksums of an archive all of it is read. Raises `InputError` if it would run code or is not what it claims.
+    Takes a checkpoint with a state dict among its entries (mmcv's ``{meta, state_dict, optimizer}``, timm's, ...) or a
+    bare one, of any PyTorch version; for the checksums of an archive all of it is read. Raises `InputError` if it would
+    run code or is not what it claims.
     """
     _require_bytes(path, limits)
     structure = _structure(path, read_in_child(path, "checkpoint", limits))
@@ -70,7 +73,7 @@ def read_stored(path: Path, limits: Limits = CHECKPOINT, *, checksums: bool = Tr
             f"{path} claims tensors of {claimed} bytes but has {len(mapped)}; it may be malicious, get it from a "
             "source that you trust"
         )
-    return StoredCheckpoint(tensors, storages, structure["big_endian"], structure["configuration"])
+    return StoredCheckpoint(tensors, storages, structure["big_endian"], structure["configuration"], structure["note"])
 
 
 def _require_bytes(path: Path, limits: Limits) -> None:

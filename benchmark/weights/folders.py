@@ -22,6 +22,7 @@ from benchmark.untrusted.checkpoint_structure import ITEM_BYTES
 from benchmark.untrusted.checkpoints import TensorLocation, read_stored
 from benchmark.weights.catalogue import FOLDERS, PublishedWeights
 from benchmark.weights.fetch import fetch_files, require_published
+from benchmark.weights.tensor_names import choose_tensors
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -29,30 +30,36 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class UntrustedCheckpoint:
-    """Content of a checkpoint: tensors in the file's order, and mmcv's training configuration, or an empty text."""
+    """Content of a checkpoint: tensors in the file's order, and mmcv's training configuration, or an empty text.
+
+    `note` says which copy of the weights the tensors are, where the file has averaged ones.
+    """
 
     tensors: "dict[str, Tensor]"
     configuration: str
+    note: str = ""
 
 
 def read_checkpoint(path: Path) -> UntrustedCheckpoint:
-    """Read, untrusted, an mmcv checkpoint (``{meta, state_dict, optimizer}``) or a bare state dict of any PyTorch.
+    """Read, untrusted, a checkpoint with a state dict among its entries, or a bare one, of any PyTorch.
 
-    Tensors are mapped from the file, so that an optimizer's two thirds of it are never in memory; a ``module.`` that
-    data-parallel training puts before all names is taken off. Refused is what is truncated, would run code, or holds
-    something other than dense tensors of numbers.
+    Tensors are mapped from the file, so that an optimizer's two thirds of it are never in memory; what data-parallel
+    training, Lightning and `torch.compile` put before all names is taken off, and averaged weights are taken where
+    there are some (`benchmark.weights.tensor_names`). Refused is what is truncated, would run code, or holds something
+    other than dense tensors of numbers.
     """
     stored = read_stored(path)
-    wrapped = all(name.startswith("module.") for name in stored.tensors)
+    chosen = choose_tensors(stored.tensors)
     shared: dict[tuple[int, str], Tensor] = {}
     tensors = {}
-    for name, location in stored.tensors.items():
+    for name, place in chosen.names.items():
+        location = stored.tensors[place]
         key = location.storage, location.number_type
         if key not in shared:
             data = stored.storages[location.storage] if location.storage >= 0 else np.zeros(0, np.uint8)
             shared[key] = _numbers(data, location.number_type, swapped=stored.big_endian)
-        tensors[name.removeprefix("module.") if wrapped else name] = _view(shared[key], location)
-    return UntrustedCheckpoint(tensors, stored.configuration)
+        tensors[name] = _view(shared[key], location)
+    return UntrustedCheckpoint(tensors, stored.configuration, chosen.note or stored.note)
 
 
 def _numbers(data: NDArray[np.uint8], number_type: str, *, swapped: bool) -> "Tensor":

@@ -158,6 +158,15 @@ def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:
     )
 
 
+def describe_single(data_name: str, matrix: TransferMatrix) -> str:
+    """Sentence on the matrix of one planner, which has nothing to compare it with."""
+    (name,), (rate,) = format_planner_names(matrix), matrix.base_rates
+    return (
+        f"{format_title(data_name, matrix.split)}, {name_judge(matrix.protocol)}: {name} fails {round(rate.numerator)} "
+        f"of {pluralise(rate.denominator, 'scene')}; records of other planners tell who else does"
+    )
+
+
 def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
     """Agreement of every two planners: failures on the same scenes beyond what their failure rates give.
 

@@ -57,7 +57,7 @@ class ConverterCanMessages:
         kinds = {**CAN_BUS, "pose": {**CAN_BUS["pose"], **CAN_BUS_POSE}}
         message_lists = []
         for kind in ("pose", "steeranglefeedback"):
-            path = root / "can_bus" / f"{scene}_{kind}.json"
+            path = _find_messages(root, scene, kind)
             messages = read_json(path) if path.is_file() else []
             message_lists.append(require_records(path, "message", messages, kinds[kind]))
         return cls(*message_lists)
@@ -99,6 +99,15 @@ class ConverterCanMessages:
 def _find_nearest(messages: Sequence[Message], time_us: int) -> Message:
     away = np.abs(np.array([message["utime"] for message in messages], np.int64) - time_us)
     return messages[len(away) - 1 - int(np.argmin(away[::-1]))]
+
+
+def has_can_bus(root: Path, scene: str) -> bool:
+    """Whether a root has messages of a scene's pose."""
+    return _find_messages(root, scene, "pose").is_file()
+
+
+def _find_messages(root: Path, scene: str, kind: str) -> Path:
+    return root / "can_bus" / f"{scene}_{kind}.json"
 
 
 HISTORY_STEPS: Final = 2

@@ -1,25 +1,26 @@
-"""Export of info files: scenes of a split, their infos, repairs, files; nothing is written before all is computed.
-
-The folder that official code is pointed at in place of a root has links to it, and the maps that it lacks.
-"""
+"""Export of info files: scenes of a split, their infos, repairs, files; nothing is written before all is computed."""
 
 import pickle
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final, Self
+from typing import Final
 
 import shapely
 
-from benchmark.constants import OFFICIAL_LOCATIONS
-from benchmark.datasets.map_layers import find_expansion_file, make_empty_expansion, read_road_map
+from benchmark.datasets.map_layers import find_expansion_file, read_road_map
 from benchmark.datasets.schema import FaultList, StrictFaultList
 from benchmark.datasets.split_names import compute_shifts_us, find_default_split, read_splits, select_scenes
 from benchmark.datasets.tables import find_variant_folders, find_version
 from benchmark.errors import InputError
 from benchmark.extensions.infos import repairs
 from benchmark.extensions.infos.boxes import SceneBoxes
-from benchmark.extensions.infos.ego_trajectory import OFFICIAL_NAME, ConverterCanMessages, EgoTrajectory
+from benchmark.extensions.infos.ego_trajectory import (
+    OFFICIAL_NAME,
+    ConverterCanMessages,
+    EgoTrajectory,
+    has_can_bus,
+)
 from benchmark.extensions.infos.map_lines import MapLines
 from benchmark.extensions.infos.repositories import (
     TEST,
@@ -29,70 +30,12 @@ from benchmark.extensions.infos.repositories import (
     list_official_training_scenes,
     require_version,
 )
-from benchmark.extensions.infos.scene_infos import Info, SceneSources, build_scene_infos, is_level
+from benchmark.extensions.infos.scene_infos import Info, SceneSources, build_scene_infos, has_cameras, is_level
 from benchmark.extensions.infos.scene_rows import InfoTables, SceneTableRows
+from benchmark.extensions.infos.stand_in_root import StandInRoot, find_missing_cities
 from benchmark.machine.progress import CountedUnits, track_progress
-from benchmark.machine.storage import read_json, write_bytes, write_json, writing_to
-
-FOLDER: Final = "nuscenes"
-"""Name that official code gives to the folder below its ``data``."""
-_LINKED: Final = ("samples", "sweeps", "can_bus")
-_MAPS: Final = "maps/expansion"
-
-
-def find_missing_cities(root: Path) -> list[str]:
-    """Cities that official code opens the maps of and a root has none of."""
-    return [city for city in OFFICIAL_LOCATIONS if find_expansion_file(root, city) is None]
-
-
-@dataclass(frozen=True, slots=True)
-class StandInRoot:
-    """The folder before it is written: its links with their targets, and its empty maps."""
-
-    folder: Path
-    links: Mapping[Path, Path]
-    maps: Sequence[Path]
-
-    @classmethod
-    def of(cls, root: Path, to: Path, version: str, *, root_as: str | None, beside: Sequence[str]) -> Self:
-        """Folder that is to be written; refused where something else has one of its names.
-
-        Links lead to ``root_as``, if not to the root as it is here; official code looks for the files ``beside`` in it.
-        """
-        folder = to / FOLDER
-        source = root.resolve() if root_as is None else Path(root_as)
-        parts = [name for name in (version, *_LINKED) if (root / name).exists()]
-        parts += [f"maps/{path.name}" for path in sorted((root / "maps").glob("*")) if path.name != "expansion"]
-        parts += [f"{_MAPS}/{path.name}" for path in sorted((root / _MAPS).glob("*.json"))]
-        links = {folder / part: source / part for part in parts} | {folder / name: Path("..") / name for name in beside}
-        stand_in = cls(folder, links, [folder / _MAPS / f"{city}.json" for city in find_missing_cities(root)])
-        stand_in._require_free()
-        return stand_in
-
-    def write(self) -> None:
-        """Write it; raises `InputError` if the disk refuses."""
-        for path, target in self.links.items():
-            with writing_to(path):
-                path.parent.mkdir(parents=True, exist_ok=True)
-                path.unlink(missing_ok=True)
-                path.symlink_to(target)
-        for path in self.maps:
-            write_json(path, make_empty_expansion(), indent=None)
-
-    def _require_free(self) -> None:
-        """Maps are plain files where a former export had none to link to."""
-        if self.folder.is_symlink():
-            raise InputError(f"{self.folder} is a link, whose target must not be changed; choose another --to")
-        for path, target in self.links.items():
-            if path.is_symlink() and path.readlink() != target:
-                raise InputError(
-                    f"{path} links to {path.readlink()}, for {self.folder.parent} was exported from another root; "
-                    "choose another --to"
-                )
-            occupied = path.exists() and not path.is_symlink()
-            if occupied and not (path.is_file() and path.parent == self.folder / _MAPS):
-                raise InputError(f"{path} exists where a link must go; choose another --to, or remove it")
-
+from benchmark.machine.storage import read_json, write_bytes, write_json
+from benchmark.report.words import pluralise
 
 CONVERTED_PREFIX: Final = "./data/nuscenes/"
 """Prefix of the converters' file names when called as documented."""
@@ -108,9 +51,10 @@ class InfoSettings:
         repository: ``uniad``, ``vad`` or ``sparsedrive`` (DiffusionDrive reads the same).
         version: Version folder; needed only where a root has several.
         split: Split; where none is named ``val`` if the root has it, else its only one.
-        as_converted: Exactly what the converter would write of the whole root: nothing cured, nothing refused that it
-            accepts.
+        as_converted: Exactly what the converter would write of the whole root: nothing is cured, and of what it accepts
+            only scenes that have the same time are refused.
         root_as: Where the root is for the code that will read the files, if not where it is here.
+        planning_only: No network will open images: nothing is asked or said of them.
     """
 
     repository: str
@@ -118,6 +62,7 @@ class InfoSettings:
     split: str | None = None
     as_converted: bool = False
     root_as: str | None = None
+    planning_only: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,9 +76,10 @@ class ExportedInfos:
 
 @dataclass
 class InfoFiles:
-    """Infos of a root by file, before they are written."""
+    """Infos of a root by file, before they are written; `scene_names` by token."""
 
     version: str
+    scene_names: dict[str, str]
     parts: dict[Part, list[Info]] = field(default_factory=dict)
     differences: list[repairs.ConverterDifference] = field(default_factory=list)
     unrepaired: list[str] = field(default_factory=list)
@@ -152,7 +98,7 @@ def export_infos(root: Path, to: Path, settings: InfoSettings) -> ExportedInfos:
 
     Raises:
         InputError: If there is no such data set or split, or it holds something that official code would fail at or
-            see nothing of.
+            see nothing of; `repairs.SameTimeError` if, ``as_converted``, scenes of the val file have the same time.
     """
     reader = find_repository(settings.repository)
     variants = find_variant_folders(root)
@@ -161,20 +107,19 @@ def export_infos(root: Path, to: Path, settings: InfoSettings) -> ExportedInfos:
     infos_by_target = {
         target: build_info_files(source, reader, settings_by_target[target]) for target, source in roots.items()
     }
-    folders = (
-        {}
-        if settings.as_converted
-        else {
-            target: _build_stand_in_root(reader, roots[target], target, infos, settings_by_target[target])
-            for target, infos in infos_by_target.items()
-        }
-    )
+    if settings.as_converted:
+        for infos in infos_by_target.values():
+            repairs.require_apart(infos.parts.get("val", []), infos.scene_names)
+    folders = {
+        target: _build_stand_in_root(reader, roots[target], target, infos, settings_by_target[target])
+        for target, infos in infos_by_target.items()
+    }
     files: dict[Path, int] = {}
     for target, infos in infos_by_target.items():
         files |= _write(target, reader, infos)
     for target, folder in folders.items():
         folder.write()
-        _write_differences(target, reader, infos_by_target[target])
+        _write_differences(target, reader, infos_by_target[target], as_converted=settings.as_converted)
     differences = tuple(difference for infos in infos_by_target.values() for difference in infos.differences)
     return ExportedInfos(
         files,
@@ -188,8 +133,6 @@ def build_info_files(root: Path, reader: Repository, settings: InfoSettings) -> 
     version = find_version(root, settings.version)
     require_version(version, str(root))
     if settings.as_converted:
-        if settings.split is not None:
-            raise InputError("--as-converted takes the whole root, as the converters do; leave --split out")
         return _InfoConverter(root, version, reader, settings).files()
     return _RepairingInfoConverter(root, version, reader, settings).files()
 
@@ -199,19 +142,50 @@ class _InfoConverter:
 
     def __init__(self, root: Path, version: str, reader: Repository, settings: InfoSettings) -> None:
         self.root, self.reader, self.settings = root, reader, settings
-        self.found = InfoFiles(version)
         cured = not settings.as_converted
         self.tables = InfoTables(root, version, StrictFaultList(folder=root / version) if cured else FaultList())
+        self.found = InfoFiles(version, {row["token"]: row["name"] for row in self.tables.scenes})
         self.prefix = CONVERTED_PREFIX if settings.root_as is None else f"{settings.root_as.rstrip('/')}/"
         self._maps: dict[str, MapLines] = {}
 
     def files(self) -> InfoFiles:
         """All infos."""
         training = list_official_training_scenes(self.found.version)
-        self._put([row["name"] for row in self.tables.scenes], lambda name: "train" if name in training else "val")
+        names = [row["name"] for row in self.tables.scenes]
+        if self.settings.split is not None and set(self._split()[1]) != set(names):
+            raise InputError(
+                f"--as-converted takes the whole root, as the converters do, and {self.root} has other scenes than "
+                f"those of split {self.settings.split}; leave --split or --as-converted out"
+            )
+        self._put(names, lambda name: "train" if name in training else "val")
+        trained = training & set(names)
+        self.found.unrepaired = [f"as converted: {found.why}" for found in self._list_value_differences(names)]
+        if trained and self.found.version != TEST:
+            self.found.unrepaired.append(
+                f"as converted: {pluralise(len(trained), 'scene')} of nuScenes' training scenes are in the train file, "
+                "and official configurations evaluate only the val file"
+            )
         if self.found.version == TEST:
             self.found.parts = {"test": self.found.parts["train"]}
         return self.found
+
+    def _split(self) -> tuple[str, tuple[str, ...]]:
+        """The split that is exported, and its scenes."""
+        present = [scene["name"] for scene in self.tables.scenes]
+        custom = read_splits(self.root, self.found.version)
+        provenance = self.root / self.found.version / "challenger.json"
+        provenance_values = read_json(provenance) if provenance.is_file() else None
+        built_as = provenance_values.get("split") if isinstance(provenance_values, dict) else None
+        split = self.settings.split or find_default_split(present, custom, where=str(self.root), built_as=built_as)
+        return split, select_scenes(split, present, custom, where=str(self.root), built_as=built_as)
+
+    def _list_value_differences(self, names: Sequence[str]) -> list[repairs.ConverterDifference]:
+        """Values of scenes that the converter gets wrong: the motion of suffixed names, the numbers of categories."""
+        refused = {name for name in names if not OFFICIAL_NAME.fullmatch(name) and has_can_bus(self.root, name)}
+        differences = [repairs.describe_can_bus_names(self.reader, refused)] if refused else []
+        if self.reader.name == "vad":
+            differences += repairs.describe_category_numbers(self.tables.category_numbers)
+        return differences
 
     def _put(self, names: Sequence[str], part_of: Callable[[str], Part]) -> None:
         """Make the infos of scenes and put them into files, each in the order of the sample table."""
@@ -233,7 +207,8 @@ class _InfoConverter:
     def _scene(self, rows: SceneTableRows) -> list[Info]:
         if self.reader.name == "vad" and len(rows.samples) < 2:
             raise InputError(f"{rows.name} has only one sample, on which VAD's converter fails; leave the scene out")
-        repairs.require_cameras(rows)
+        if self.settings.as_converted or has_cameras(rows):
+            repairs.require_cameras(rows)
         sources = SceneSources(
             rows=rows,
             boxes=SceneBoxes.of(rows),
@@ -291,24 +266,17 @@ class _RepairingInfoConverter(_InfoConverter):
         self.found.unrepaired = repairs.list_unrepaired(self.reader, self._seen)
         return self.found
 
-    def _split(self) -> tuple[str, tuple[str, ...]]:
-        present = [scene["name"] for scene in self.tables.scenes]
-        custom = read_splits(self.root, self.found.version)
-        provenance = self.root / self.found.version / "challenger.json"
-        provenance_values = read_json(provenance) if provenance.is_file() else None
-        built_as = provenance_values.get("split") if isinstance(provenance_values, dict) else None
-        split = self.settings.split or find_default_split(present, custom, where=str(self.root), built_as=built_as)
-        return split, select_scenes(split, present, custom, where=str(self.root), built_as=built_as)
-
     def _scene(self, rows: SceneTableRows) -> list[Info]:
-        repairs.require_cameras(rows)
-        repairs.require_usable(self.root, self.reader, rows)
+        images = not self.settings.planning_only
+        repairs.require_usable(self.root, self.reader, rows, images=images)
         infos = super()._scene(rows)
         times = [sample["timestamp"] for sample in rows.samples]
         self._times.append((rows.name, min(times), max(times)))
         self._infos[rows.name] = infos
         observations = self._seen
-        observations.sizes.update((row["width"], row["height"]) for row in rows.data.values() if row["width"])
+        if images:
+            observations.sizes.update((row["width"], row["height"]) for row in rows.data.values() if row["width"])
+            observations.without_cameras += not has_cameras(rows)
         observations.without_points += sum(row["num_lidar_pts"] == 0 for row in rows.annotations.values())
         if not self._can_bus(rows).pose:
             observations.without_can_bus.append(rows.name)
@@ -341,13 +309,9 @@ class _RepairingInfoConverter(_InfoConverter):
             repairs.describe_paths(self.prefix),
             *repairs.describe_scene_choice(split, training & set(names), others),
         ]
-        refused = {name for name in names if not OFFICIAL_NAME.fullmatch(name)} - set(self._seen.without_can_bus)
-        if refused:
-            differences.append(repairs.describe_can_bus_names(self.reader, refused))
         if shifts:
             differences.append(repairs.describe_shifts(shifts))
-        if self.reader.name == "vad":
-            differences += repairs.describe_category_numbers(super()._category_numbers())
+        differences += self._list_value_differences(names)
         if self.reader.name == "uniad" and self._seen.without_visibility:
             differences.append(repairs.describe_default_visibility(self._seen.without_visibility))
         cities = find_missing_cities(self.root)
@@ -366,7 +330,8 @@ def _build_stand_in_root(
 ) -> StandInRoot:
     """VAD looks for its info files in the root, the others beside it."""
     beside = [reader.file_name(infos.version, part) for part in infos.parts] if reader.name == "vad" else []
-    return StandInRoot.of(root, to, infos.version, root_as=settings.root_as, beside=beside)
+    root_as = settings.root_as if settings.root_as is None or Path(settings.root_as).is_absolute() else None
+    return StandInRoot.of(root, to, infos.version, root_as=root_as, beside=beside)
 
 
 def _write(to: Path, reader: Repository, info_files_of_root: InfoFiles) -> dict[Path, int]:
@@ -379,7 +344,12 @@ def _write(to: Path, reader: Repository, info_files_of_root: InfoFiles) -> dict[
     return files
 
 
-def _write_differences(to: Path, reader: Repository, info_files_of_root: InfoFiles) -> None:
+def _write_differences(to: Path, reader: Repository, info_files_of_root: InfoFiles, *, as_converted: bool) -> None:
+    path = to / f"{reader.name}_departures.json"
+    if as_converted:
+        # Of an earlier export to the same folder.
+        path.unlink(missing_ok=True)
+        return
     differences = [difference.as_json() for difference in info_files_of_root.differences]
     report = {"for": reader.title, "departures": differences, "not_cured": info_files_of_root.unrepaired}
-    write_json(to / f"{reader.name}_departures.json", report)
+    write_json(path, report)

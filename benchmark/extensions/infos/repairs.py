@@ -5,6 +5,7 @@ What cannot be repaired is refused before anything is written, or reported with 
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,7 +13,7 @@ from benchmark.constants import CAMERA_NAMES, NUMBERED_CATEGORIES, OFFICIAL_LOCA
 from benchmark.datasets.map_layers import find_expansion_file
 from benchmark.errors import InputError
 from benchmark.extensions.infos.repositories import Repository, RepositoryName
-from benchmark.extensions.infos.scene_infos import Info
+from benchmark.extensions.infos.scene_infos import Info, has_cameras
 from benchmark.extensions.infos.scene_rows import SceneTableRows
 from benchmark.report.words import pluralise
 
@@ -31,6 +32,8 @@ _SIZE_OPTIONS: Final = (
     "data build, data import and generate draw it with --size {size}, generate --renderer magicdrive with --image-size "
     "{size}"
 )
+
+_NO_NETWORK: Final = "planning metrics open none; --planning-only leaves this out"
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,45 +54,33 @@ class ConverterDifference:
 
 
 def require_cameras(rows: SceneTableRows) -> None:
-    """Refuse scenes without the six cameras, which no converter writes either."""
+    """Refuse scenes without one of the six cameras, which no converter writes either."""
     for sample in rows.samples:
         missing = [name for name in CAMERA_NAMES if name not in rows.key_frames[sample["token"]]]
         if missing:
+            other = "" if has_cameras(rows) else ", or leave --as-converted out"
             raise InputError(
                 f"{rows.name} has no image of {missing[0]} at sample {sample['token']}, and info files name those of "
-                "all six cameras; build the data set with images (--renderer schematic or magicdrive)"
+                f"all six cameras; build the data set with images (--renderer schematic or magicdrive){other}"
             )
 
 
-def require_usable(root: Path, repository: Repository, rows: SceneTableRows) -> None:
-    """Refuse what official code would fail at, or see nothing of: no map, missing files, wrong images, short scenes."""
+def require_usable(root: Path, repository: Repository, rows: SceneTableRows, *, images: bool) -> None:
+    """Refuse what official code would fail at: no map, short scenes, and missing files, if ``images`` are opened."""
     _require_map(root, rows)
     if len(rows.samples) < _NEEDS_FUTURE:
         raise InputError(
             f"{rows.name} has only one sample, which official code does not evaluate; leave the scene out with --split"
         )
-    _require_size(repository, rows)
+    if not images or not has_cameras(rows):
+        return
+    require_cameras(rows)
     for sample in rows.samples:
         for name in CAMERA_NAMES:
             image = rows.key_frames[sample["token"]][name]["filename"]
-            _require_file(root, image, "write the images, or name the root that has them")
+            _require_file(root, image, "write the images, name the root that has them, or add --planning-only")
         if repository.name == "vad":
             _require_file(root, rows.lidar(sample)["filename"], "VAD opens it; an empty file is enough")
-
-
-def _require_size(repository: Repository, rows: SceneTableRows) -> None:
-    if repository.image_size is None:
-        return
-    wanted = "x".join(map(str, repository.image_size))
-    for cameras in rows.key_frames.values():
-        for name in CAMERA_NAMES:
-            size = (cameras[name]["width"], cameras[name]["height"])
-            if size != repository.image_size:
-                raise InputError(
-                    f"{rows.name} has images of {size[0]}x{size[1]}, and the code of {repository.title} crops as if "
-                    f"they were {wanted}, so its networks would see black; render the data set in that size "
-                    f"({_SIZE_OPTIONS.format(size=wanted)})"
-                )
 
 
 def _require_map(root: Path, rows: SceneTableRows) -> None:
@@ -108,6 +99,28 @@ def _require_map(root: Path, rows: SceneTableRows) -> None:
 def _require_file(root: Path, name: str, advice: str) -> None:
     if not (root / name).is_file():
         raise InputError(f"{root / name} named in the tables is missing; {advice}")
+
+
+class SameTimeError(InputError):
+    """Scenes lie in one another's time, which only an export that is not ``as_converted`` moves apart."""
+
+
+def require_apart(infos: Sequence[Info], names: Mapping[str, str]) -> None:
+    """Refuse scenes that lie in one another's time with a `SameTimeError`; ``names`` are by token.
+
+    Readers sort by time: SparseDrive's planning metric then looks for future boxes in other scenes and fails, and the
+    memory of all networks is of the wrong scene.
+    """
+    times: dict[str, list[int]] = {}
+    for info in infos:
+        times.setdefault(info["scene_token"], []).append(info["timestamp"])
+    ordered = sorted((min(of_scene), names[token], max(of_scene)) for token, of_scene in times.items())
+    for (_, first, ended), (begins, second, _) in pairwise(ordered):
+        if begins <= ended:
+            raise SameTimeError(
+                f"{first} and {second} have the same time, as variants of one recording do, and official code sorts "
+                "by time, so that its planning metric fails on what converters write; run it without --as-converted"
+            )
 
 
 def shift_times(infos: Iterable[Info], shift_us: int) -> None:
@@ -216,7 +229,7 @@ def describe_empty_maps(cities: Sequence[str]) -> ConverterDifference:
 class ExportObservations:
     """Observations made while infos were written; `off_the_map` counts samples with nothing of the map around them.
 
-    `without_visibility` are boxes, by scene, whose visibility is no level.
+    `without_visibility` are boxes, by scene, whose visibility is no level; `without_cameras` counts scenes.
     """
 
     sizes: set[tuple[int, int]] = field(default_factory=set)
@@ -224,6 +237,7 @@ class ExportObservations:
     off_the_map: int = 0
     without_can_bus: list[str] = field(default_factory=list)
     without_visibility: dict[str, int] = field(default_factory=dict)
+    without_cameras: int = 0
 
 
 def list_unrepaired(repository: Repository, seen: ExportObservations) -> list[str]:
@@ -243,9 +257,16 @@ def list_unrepaired(repository: Repository, seen: ExportObservations) -> list[st
         drawn, trained = (
             ", ".join(f"{width}x{height}" for width, height in sizes) for sizes in (other, [_TRAINED_SIZE])
         )
+        crops = f", and the code of {repository.title} crops as if they were, so that its networks would see black"
         sentences.append(
-            f"images are {drawn}, but published networks were trained on {trained} "
-            f"({_SIZE_OPTIONS.format(size=trained)})"
+            f"images are {drawn}, but published networks were trained on {trained}"
+            f"{crops if repository.image_size == _TRAINED_SIZE else ''} ({_SIZE_OPTIONS.format(size=trained)}; "
+            f"{_NO_NETWORK})"
+        )
+    if seen.without_cameras:
+        scenes = pluralise(seen.without_cameras, "scene has", "scenes have")
+        sentences.append(
+            f"{scenes} no images (--renderer none), so that no network can run on the infos ({_NO_NETWORK})"
         )
     if seen.without_points:
         boxes = pluralise(seen.without_points, "box has", "boxes have")

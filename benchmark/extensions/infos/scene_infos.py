@@ -94,10 +94,18 @@ SWEEPS: Final = 10
 SensorInfo = dict[str, Any]
 
 
+def has_cameras(rows: SceneTableRows) -> bool:
+    """Whether a scene has any image; one that was written with ``--renderer none`` has none."""
+    return any(channel in frames for frames in rows.key_frames.values() for channel in CAMERA_NAMES)
+
+
 def build_camera_infos(rows: SceneTableRows, sample: Row, lidar: SensorFrame, prefix: str) -> dict[str, SensorInfo]:
-    """Cameras of a sample by channel, in the networks' order; `require_cameras` refuses missing images."""
-    infos = {}
-    for channel in CAMERA_NAMES:
+    """Cameras of a sample by channel, in the networks' order; none of a scene without images.
+
+    `require_cameras` refuses scenes with some images.
+    """
+    infos: dict[str, SensorInfo] = {}
+    for channel in CAMERA_NAMES if has_cameras(rows) else ():
         data = rows.key_frames[sample["token"]][channel]
         intrinsic = rows.mounts[data["calibrated_sensor_token"]]["camera_intrinsic"]
         infos[channel] = build_sensor_info(rows, data, channel, lidar, prefix)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import pickle
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.planning import Plan, PlanFrame
 from benchmark.records.run import RunRecord, load_record
 from benchmark.runs.rescoring import rescore
+from benchmark.untrusted.files import RefusedFileError
 from leaderboard.frame.runs import DataSetRuns
 from leaderboard.site.index_data import build_model_index
 from leaderboard.tables.collision import collision_table
@@ -49,6 +51,23 @@ def test_plans_come_back_through_the_real_calibration(name: str, frame: PlanFram
         again = found.plans[samples.tokens[row]]
         away = np.abs(again.waypoints_in_lidar(ahead_m) - plan.waypoints_in_lidar(ahead_m))
         assert away.max() <= PRECISION_M.get(name, SINGLE_M)
+
+
+@pytest.mark.parametrize("kind", [np.asarray, torch.from_numpy, np.ndarray.tolist], ids=["array", "tensor", "list"])
+def test_batches_of_one_plan_are_read_with_and_without_a_heading(tmp_path: Path, kind: Callable[[Any], Any]) -> None:
+    samples = make_synthetic_samples()
+    written(tmp_path, "admlp", samples, make_synthetic_plans(samples))
+    path = tmp_path / "admlp" / "output_data.pkl"
+    with_heading = recognise(path)
+    plans = {token: kind(np.asarray(plan)[:, :, :2]) for token, plan in with_heading.content.items()}
+    path.write_bytes(pickle.dumps(plans, 4))
+    without = recognise(path)
+    assert without.format.name == with_heading.format.name == "admlp" and "sparseworld" in without.format.planners
+    expected, found = (import_results([opened], samples).found for opened in (with_heading, without))
+    assert np.array_equal(found.waypoints, expected.waypoints) and found.rows.tolist() == expected.rows.tolist()
+    path.write_bytes(pickle.dumps({token: np.zeros((1, 6, 4)) for token in plans}, 4))
+    with pytest.raises(RefusedFileError, match="1 x 6 x 3 or 1 x 6 x 2"):
+        import_results([recognise(path)], samples)
 
 
 def test_what_is_known_of_the_order(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Arguments that nobody means: one sentence in one line that can be read, exit code 2."""
 
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -38,6 +39,13 @@ def test_the_debug_option_shows_where_it_came_from(tmp_path: Path) -> None:
     run = run_main("--debug", "data", "check", str(tmp_path / ("x" * 300)))
     assert run.code == 2 and run.err.startswith("Traceback") and "OSError" in run.err
     assert run.err.splitlines()[-1].startswith("error: cannot use")
+
+
+def test_the_timings_option_ends_any_command_with_its_seconds(tmp_path: Path) -> None:
+    run = run_main("data", "check", str(tmp_path / "none"), "--timings")
+    assert run.code == 2 and run.err.startswith("error: ")
+    seconds = r"[\d.]+ s on the clock, [\d.]+ s of CPU, [\d.]+ s of them in workers and other processes"
+    assert re.fullmatch(seconds, run.err.splitlines()[-1])
 
 
 def test_links_that_lead_in_a_circle_pipes_and_numbers_beyond_machines(tmp_path: Path) -> None:

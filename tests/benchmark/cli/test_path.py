@@ -84,6 +84,10 @@ def test_the_command_that_shows_a_failure_works_as_printed(
 
 def test_transfer_and_leaderboard(out: Path) -> None:
     assert "surrogate" in done(run_main("transfer", "--out", out)).out
+    alone = done(run_main("transfer", "--records", out / "runs" / "small" / "adv" / PLANNERS[0], "--pairs")).out
+    assert (
+        alone.count("\n") == 1 and " fails " in alone and alone.endswith("eval --data ROOT --split adv --model NAME\n")
+    )
     done(run_main("leaderboard", "--out", out))
     page = out / "leaderboard" / "README.md"
     text = page.read_text()

@@ -18,6 +18,7 @@ from benchmark.machine.workers import (
     WAITING_PER_WORKER,
     LocalProcesses,
     map_ordered,
+    processor_seconds,
     results_in_order,
 )
 from tests.benchmark.machine import units_of_work
@@ -121,6 +122,12 @@ def test_workers_are_numbered_from_zero(workers: int) -> None:
     found = LocalProcesses(workers).map(units_of_work.number_of_worker, range(12), total=12, label="numbering")
     assert set(found) <= set(range(workers))
     assert units_of_work.number_of_worker(0) == 0
+
+
+def test_what_workers_use_is_counted() -> None:
+    _, before = processor_seconds()
+    spent = sum(LocalProcesses(2).map(units_of_work.busy, [0.3, 0.3], total=2, label="busy"))
+    assert 0.6 <= spent <= processor_seconds()[1] - before
 
 
 def test_a_killed_worker_is_a_sentence() -> None:

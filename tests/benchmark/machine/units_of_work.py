@@ -96,3 +96,11 @@ def threads(_: int) -> int:
 def pause(item: int) -> int:
     time.sleep(0.25)
     return item
+
+
+def busy(seconds: float) -> float:
+    """CPU seconds that it used, at least so many."""
+    began = time.process_time()
+    while time.process_time() - began < seconds:
+        pass
+    return time.process_time() - began

@@ -2,6 +2,7 @@ import csv
 import io
 import json
 import math
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -44,6 +45,29 @@ def test_csv_reads_back_and_a_missing_number_is_empty_not_zero() -> None:
 def test_plain_columns_line_up() -> None:
     lines = TABLE.plain().splitlines()
     assert lines[2].index("1.25") + 4 == len(lines[2]) == len(lines[3])
+
+
+NAMES = ("diffusiondrive-mini ‡", "constant-velocity-on-path †", "pdm-v2-20251129", "idm †")
+
+
+@pytest.mark.parametrize("width", [60, 80, 100])
+def test_names_in_a_narrow_matrix_break_at_hyphens_alone(width: int) -> None:
+    rows = [(name, "scene-8000-9ed13f26", *["69 [33, 100] (11/16)"] * len(NAMES)) for name in NAMES]
+    lines = build_table("x", "", ("planner", "scene", *NAMES), rows, text_columns=2).plain(width=width).splitlines()
+    assert max(map(len, lines)) <= width
+    whole = {part for name in (*NAMES, rows[0][1]) for part in re.findall(r"\w+-?", name)}
+    words = {word for line in lines for word in re.findall(r"(?<!\w)[a-z]\w*-?", line)}
+    assert words - {"planner", "scene"} <= whole, "no part of a name is broken"
+    assert {word for word in words if word.endswith("-")} >= ({"diffusiondrive-"} if width == 60 else set())
+    # Nothing is lost: the numbers of all planners stand in each row.
+    assert sum(line.count("(11/16)") for line in lines) == len(NAMES) ** 2
+
+
+def test_a_name_without_a_hyphen_breaks_where_numbers_have_no_room_else() -> None:
+    table = build_table("x", "", ("planner", "rate"), [("x" * 70, "69 [33, 100] (11/16)")])
+    lines = table.plain(width=80).splitlines()
+    assert max(map(len, lines)) == 80 and "".join(lines).count("x") == 70
+    assert build_table("x", "", ("planner", "rate"), [("x" * 70, "1.5")]).plain(width=80).count("\n") == 2
 
 
 def test_what_does_not_exist_is_a_dash() -> None:

@@ -16,7 +16,7 @@ from benchmark.datasets.fingerprint import compute_fingerprint
 from benchmark.datasets.split_names import compute_shifts_us, sort_as_exported
 from benchmark.errors import InputError
 from benchmark.extensions.infos.ego_trajectory import ConverterCanMessages
-from benchmark.extensions.infos.exporting import CONVERTED_PREFIX, InfoSettings, export_infos
+from benchmark.extensions.infos.exporting import CONVERTED_PREFIX, InfoSettings, build_info_files, export_infos
 from benchmark.extensions.infos.repairs import build_category_numbers
 from benchmark.extensions.infos.repositories import REPOSITORIES, RepositoryName
 from benchmark.extensions.infos.scene_infos import classify_goals
@@ -244,20 +244,20 @@ def test_readers_find_variants_one_after_the_other(variants: Path, cured: Path) 
 
 
 def _by_token(root: Path, beside: Path, repository: RepositoryName) -> dict[str, dict[str, Any]]:
-    infos = exported(root, beside.parent / f"converted-{repository}", repository, as_converted=True)
-    return {info["token"]: info for info in infos}
+    settings = InfoSettings(repository, as_converted=True)
+    return {info["token"]: info for info in build_info_files(root, REPOSITORIES[repository], settings).parts["val"]}
 
 
 def test_as_converted_cures_nothing(variants: Path, tmp_path: Path) -> None:
-    infos = exported(variants, tmp_path, "vad", as_converted=True)
+    found = build_info_files(variants, REPOSITORIES["vad"], InfoSettings("vad", as_converted=True))
+    infos = found.parts["val"]
     times = [info["timestamp"] for info in infos]
     assert len(set(times)) == len(times) / 3
     assert not any(info["can_bus"].any() for info in infos)
     # Row 16 of 23 is the car; of 32 it is 17.
     assert {int(row[8]) for info in infos for row in info["gt_agent_lcf_feat"]} == {16}
-    files = sorted(path.name for path in tmp_path.rglob("*") if path.is_file())
-    assert files == ["vad_nuscenes_infos_temporal_train.pkl", "vad_nuscenes_infos_temporal_val.pkl"]
-    assert not (tmp_path / "nuscenes").exists()
+    assert any("2-8 for people" in said for said in found.unrepaired)
+    assert any("zeros as model input" in said for said in found.unrepaired)
 
 
 def test_suffixed_names_keep_their_can_bus(cured: Path) -> None:
@@ -327,8 +327,10 @@ def test_a_split_of_several_is_chosen_and_stands_in_the_val_file(tmp_path: Path)
     assert len(infos) == 5 and {info["scene_token"] for info in infos} == {infos[0]["scene_token"]}
     said = [found["what"] for found in departures(tmp_path / "to", "uniad")]
     assert any("among its training scenes" in what for what in said) and any("are left out" in what for what in said)
-    converted = export_infos(tmp_path / "root", tmp_path / "converted", InfoSettings("uniad", as_converted=True))
-    assert sorted(converted.files.values()) == [5, 5]
+    converted = InfoSettings("uniad", as_converted=True)
+    assert sorted(export_infos(tmp_path / "root", tmp_path / "converted", converted).files.values()) == [5, 5]
+    with pytest.raises(InputError, match="takes the whole root"):
+        export_infos(tmp_path / "root", tmp_path / "no", replace(converted, split="train"))
 
 
 def test_folders_of_variant_roots_get_a_folder_each(tmp_path: Path) -> None:
@@ -378,9 +380,7 @@ def test_the_command_says_what_it_did(variants: Path, tmp_path: Path, capsys: py
     assert bytes_below(tmp_path / "to") == first
 
 
-def test_sparsedrive_needs_large_images(variants: Path, tmp_path: Path) -> None:
-    said = refusal("data", "export", "infos", variants, "--for", "sparsedrive", "--to", tmp_path / "to")
-    assert "32x18" in said and "--size 1600x900" in said and "--image-size 1600x900" in said
+def test_sparsedrive_finds_map_elements(tmp_path: Path) -> None:
     root = plain_root(tmp_path / "root", renderer=LargeRenderer(), frames="keyframes")
     infos = exported(root, tmp_path / "large", "sparsedrive")
     assert [len(info["map_annos"][1]) for info in infos] == [3] * 9 and infos[0]["ego_status"].any()
@@ -406,6 +406,12 @@ def _no_cameras(root: Path) -> None:
     path.write_text(json.dumps([row for row in json.loads(path.read_text()) if not row["camera_intrinsic"]]))
 
 
+def _no_back_camera(root: Path) -> None:
+    path = root / "v1.0-trainval" / "sample_data.json"
+    rows = json.loads(path.read_text())
+    path.write_text(json.dumps([row for row in rows if "/CAM_BACK/" not in row["filename"]]))
+
+
 def _written(path: str, text: str) -> Any:
     return lambda root: next(root.glob(path)).write_text(text)
 
@@ -426,8 +432,8 @@ def _line_of_one_node(root: Path) -> None:
         (_without("maps/expansion/boston*"), "--for uniad", "boston-seaport.json, which official code opens"),
         (_without("maps/expansion/boston*"), "--for sparsedrive --as-converted", "the source of map elements"),
         (_without("v1.0-trainval/log.json"), "--for vad", "lacks log.json"),
-        (_no_cameras, "--for uniad", "no image of CAM_FRONT"),
-        (_no_cameras, "--for uniad --as-converted", "no image of CAM_FRONT"),
+        (_no_back_camera, "--for uniad", "no image of CAM_BACK at"),
+        (_no_cameras, "--for uniad --as-converted", "or leave --as-converted out"),
         (_changed("log", location="atlantis"), "--for uniad", "lies in atlantis"),
         (_changed("sample_annotation", visibility_token=""), "--for uniad --as-converted", "is not a number"),
         (_changed("ego_pose", rotation=[1, 1, 0, 0]), "--for uniad --as-converted", "of norm one"),
@@ -443,8 +449,8 @@ def _line_of_one_node(root: Path) -> None:
         ),
         (_line_of_one_node, "--for sparsedrive --as-converted", "is not a well-formed map expansion"),
         (_written("can_bus/*_pose.json", '[{"utime": 1700594060000000}]'), "--for vad", "has no field"),
-        (lambda _: None, "--for vad --split adv", "has no split 'adv'"),
-        (lambda _: None, "--for vad --split val --as-converted", "leave --split out"),
+        (lambda _: None, "--for vad --split adv", "split 'adv' of root is missing"),
+        (lambda _: None, "--for vad --split mine", "has no split 'mine'"),
         (lambda _: None, "--for vad --root-as data/nuscenes", "must be an absolute path"),
         (lambda _: None, "--for momad", "momad"),
         (lambda _: None, "--for vad --tables v9", "no version folder 'v9'"),
