@@ -69,6 +69,7 @@ class RoadMap:
         road_segments: ``intersections`` names those that are junctions.
         road_blocks: Road surfaces of one driving direction (nuScenes ``road_block``).
         canvas_m: Width and height of the whole map.
+        stop_line_types: nuScenes' ``stop_line_type`` of stop lines that have one, by identifier.
     """
 
     location: str
@@ -83,6 +84,7 @@ class RoadMap:
     carparks: dict[str, Polygon] = field(default_factory=dict)
     road_blocks: dict[str, Polygon] = field(default_factory=dict)
     canvas_m: tuple[float, float] = (0.0, 0.0)
+    stop_line_types: dict[str, str] = field(default_factory=dict)
     _lane_bounds: list[Floats] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def lane_bounds(self) -> Floats:
