@@ -194,15 +194,16 @@ class Party:
     def junction_lane(self) -> int | None:
         """The lane that it takes through a junction, J; see docs/fault.md, "Junction"."""
         pose, ahead = self.pose[self.contact.settled :][::-1], self.user.length_m / 2
-        front = pose[0, :2] + ahead * np.array([np.cos(pose[0, 2]), np.sin(pose[0, 2])])
-        points = np.concatenate([pose[:1, :2], front[None], pose[1:, :2]])
-        yaws = np.concatenate([pose[:1, 2], pose[:1, 2], pose[1:, 2]])
-        lanes = self.roads.near(points, 0.0)
+        front = pose[0] + ahead * np.array([np.cos(pose[0, 2]), np.sin(pose[0, 2]), 0.0])
+        lane = self._choose_junction_lane(np.stack([pose[0], front]))
+        return self._choose_junction_lane(pose[1:]) if lane is None else lane
+
+    def _choose_junction_lane(self, poses: Floats) -> int | None:
+        """The junction lane of its direction at the first of (Q, 3) poses that has one."""
+        lanes = self.roads.near(poses[:, :2], 0.0)
         lanes = lanes[self.roads.is_junction[lanes]]
-        if not len(lanes):
-            return None
-        places = self.roads.locate(points, lanes)
-        angle = angle_between(places.heading, yaws[:, None])
+        places = self.roads.locate(poses[:, :2], lanes)
+        angle = angle_between(places.heading, poses[:, 2:])
         fits = places.in_strip & (angle <= SAME_RAD + SLACK)
         rows = np.flatnonzero(fits.any(axis=1))
         if not len(rows):

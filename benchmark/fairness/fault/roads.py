@@ -8,7 +8,6 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 from shapely.geometry import MultiPolygon, Polygon
-from shapely.ops import substring
 
 from benchmark.fairness.fault.definition import ARM_M, SLACK, STOP_REACH_M, TURN_RAD, Handedness, angle_between
 from benchmark.fairness.fault.rings import find_ring
@@ -236,6 +235,8 @@ class FaultRoads:
 
     def find_sign(self, junction_lane: int) -> str | None:
         """``light`` or ``give`` where a stop line of a type meets the lane or the last metres before it."""
+        if not self._signs:
+            return None
         ways = [self.lines[junction_lane]]
         for number in self.predecessors[junction_lane]:
             ways.append(_cut_end(self.lines[number], STOP_REACH_M))
@@ -293,6 +294,7 @@ def _joins(lanes: dict[str, Lane], name: str) -> bool:
 
 def _cut_end(line: Floats, length_m: float) -> Floats:
     """The last metres of a line."""
-    whole = shapely.linestrings(line)
-    cut = substring(whole, max(0.0, whole.length - length_m), whole.length)
-    return shapely.get_coordinates(cut)
+    station = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    begin = max(0.0, float(station[-1]) - length_m)
+    first = np.array([np.interp(begin, station, axis) for axis in line.T])
+    return np.concatenate([first[None], line[station > begin]])

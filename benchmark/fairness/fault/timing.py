@@ -4,7 +4,6 @@ Two users by index; nothing here knows which of them is the ego.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -23,13 +22,13 @@ from benchmark.fairness.fault.definition import (
     STILL_M_S,
     WINDOW_S,
     ContactTracks,
-    RoadUser,
     UserKind,
     angle_between,
 )
 from benchmark.geometry import Bools, Floats, box_corners, boxes_overlap, poses_between, to_local
 
 _HALVINGS: Final = 12
+_AT_ONCE: Final = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,18 +75,10 @@ class ContactGeometry:
 
     def _find_contact(self) -> tuple[tuple[Floats, Floats], Floats]:
         """Poses at the first overlap between the last two samples, and the contact point."""
-        first, second = self.users
-        last = first.pose[-1], second.pose[-1]
-        poses = last
+        poses = tuple(user.pose[-1] for user in self.users)
         if len(self.times) > 1:
-            before, low, high = (first.pose[-2], second.pose[-2]), 0.0, 1.0
-            for _ in range(_HALVINGS):
-                middle = 0.5 * (low + high)
-                tried = tuple(poses_between(one, two, np.array(middle)) for one, two in zip(before, last, strict=True))
-                if boxes_overlap(first.box_at(tried[0]), second.box_at(tried[1])):
-                    high, poses = middle, (tried[0], tried[1])
-                else:
-                    low = middle
+            share = np.array(self._halve_to_touch())
+            poses = tuple(poses_between(*user.pose[-2:], share) for user in self.users)
         shapes = [
             shapely.polygons(box_corners(user.box_at(pose))) for user, pose in zip(self.users, poses, strict=True)
         ]
@@ -95,6 +86,21 @@ class ContactGeometry:
         if shapely.is_empty(shared):
             shared = shapely.shortest_line(*shapes)
         return poses, shapely.get_coordinates(shapely.centroid(shared))[0]
+
+    def _halve_to_touch(self) -> float:
+        """Share of the last step at which the boxes touch: twelve halvings, six at a time from all that they may ask."""
+        low, size = 0.0, 1.0
+        parts = 2**_AT_ONCE
+        for _ in range(_HALVINGS // _AT_ONCE):
+            shares = low + size * np.arange(1, parts) / parts
+            one, other = (user.box_at(poses_between(*user.pose[-2:], shares)) for user in self.users)
+            touching = boxes_overlap(one, other)
+            below, above = 0, parts
+            while above - below > 1:
+                middle = (below + above) // 2
+                below, above = (below, middle) if touching[middle - 1] else (middle, above)
+            low, size = low + size * below / parts, size / parts
+        return low + size
 
     def contact_ahead(self, user: int) -> float:
         """Forward coordinate of the contact point in a user's frame, metres from its centre."""
@@ -153,24 +159,23 @@ class ContactGeometry:
 
     def _find_entry(self, user: int) -> int:
         """Earliest sample of the window from which on a user is in the corridor of the other, without a break."""
-        other = self.users[1 - user]
-        corners = box_corners(other.boxes(EDGE_M))
-        last = len(self.times) - 1
-        pieces = np.concatenate([corners[self.window : last], corners[self.window + 1 :]], axis=1)
-        corridor = shapely.convex_hull(shapely.multipoints(pieces)) if len(pieces) else pieces[:, 0, 0]
-        reach = 0.5 * (np.hypot(other.length_m, other.width_m + 2 * EDGE_M) + _diagonal(self.users[user]))
-        ways = np.hypot(*np.diff(other.pose[self.window :, :2], axis=0).T)
-        shapes = shapely.polygons(box_corners(self.boxes[user]))
-        for sample in range(last - 1, self.window - 1, -1):
-            offset = other.pose[sample:last, :2] - self.users[user].pose[sample, :2]
-            near = np.hypot(offset[:, 0], offset[:, 1]) <= reach + ways[sample - self.window :]
-            if not shapely.intersects(shapes[sample], corridor[sample - self.window :][near]).any():
-                return sample + 1
+        boxes, wide = self.boxes[user][self.window :], self.users[1 - user].boxes(EDGE_M)[self.window :]
+        later = np.triu(np.ones((len(boxes), len(boxes)), np.bool_))
+        meets = (boxes_overlap(boxes[:, None], wide[None]) & later).any(axis=1)
+        corners = box_corners(wide)
+        for sample in range(len(boxes) - 2, -1, -1):
+            if not meets[sample] and not _meets_between(boxes[sample], corners[sample:]):
+                return self.window + sample + 1
         return self.window
 
 
-def _diagonal(user: RoadUser) -> float:
-    return float(np.hypot(user.length_m, user.width_m))
+def _meets_between(box: Floats, corners: Floats) -> bool:
+    """Whether a box meets what another sweeps from sample to sample, (K, 4, 2) corners."""
+    pieces = np.concatenate([corners[:-1], corners[1:]], axis=1)
+    center, reach = box[:2], 0.5 * np.hypot(box[2], box[3])
+    near = ((pieces.min(axis=1) <= center + reach) & (pieces.max(axis=1) >= center - reach)).all(axis=1)
+    hulls = shapely.convex_hull(shapely.multipoints(pieces[near]))
+    return bool(shapely.intersects(shapely.polygons(box_corners(box)), hulls).any())
 
 
 def first_unbroken(inside: Bools) -> int | None:
