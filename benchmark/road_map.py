@@ -19,6 +19,29 @@ SLACK: Final = 1e-3
 """Nodes; far above rounding."""
 
 
+class Handedness(StrEnum):
+    """Side of the road that traffic keeps to."""
+
+    RIGHT = "right"
+    LEFT = "left"
+
+    @property
+    def far_turn(self) -> int:
+        """Sign of a turn across oncoming traffic, left positive."""
+        return 1 if self is Handedness.RIGHT else -1
+
+    @classmethod
+    def of_location(cls, location: str) -> Self | None:
+        """By the names of nuScenes, nuPlan and Argoverse 2; ``None`` of any other place."""
+        if location.startswith(_LEFT_HAND_TRAFFIC):
+            return cls("left")
+        return cls("right") if location.startswith(_RIGHT_HAND_TRAFFIC) else None
+
+
+_LEFT_HAND_TRAFFIC: Final = ("singapore", "sg-")
+_RIGHT_HAND_TRAFFIC: Final = ("boston", "us-", "las-vegas", "pittsburgh")
+
+
 class DividerKind(StrEnum):
     """How a divider is painted."""
 

@@ -32,18 +32,6 @@ SLACK: Final = 1e-9
 """Of every comparison, towards the side that an exact tie falls to."""
 
 
-class Handedness(StrEnum):
-    """Side of the road that traffic keeps to."""
-
-    RIGHT = "right"
-    LEFT = "left"
-
-    @property
-    def far_turn(self) -> int:
-        """Sign of a turn across oncoming traffic, left positive."""
-        return 1 if self is Handedness.RIGHT else -1
-
-
 class FaultVerdict(StrEnum):
     """Whose fault a contact is."""
 

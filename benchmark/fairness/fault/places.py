@@ -17,7 +17,6 @@ from benchmark.fairness.fault.definition import (
     SLACK,
     TURN_RAD,
     FaultReason,
-    Handedness,
     RoadUser,
     UserFacts,
     UserKind,
@@ -26,6 +25,7 @@ from benchmark.fairness.fault.definition import (
 from benchmark.fairness.fault.roads import FaultRoads
 from benchmark.fairness.fault.timing import ContactGeometry, TimeLeft, first_unbroken
 from benchmark.geometry import Bools, Floats, box_corners, to_local
+from benchmark.road_map import Handedness
 
 _ANGLE_M: Final = 2.0
 """Metres of offset that a radian counts as where lanes compete for a user."""

@@ -9,10 +9,10 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry import MultiPolygon, Polygon
 
-from benchmark.fairness.fault.definition import ARM_M, SLACK, STOP_REACH_M, TURN_RAD, Handedness, angle_between
+from benchmark.fairness.fault.definition import ARM_M, SLACK, STOP_REACH_M, TURN_RAD, angle_between
 from benchmark.fairness.fault.rings import find_ring
 from benchmark.geometry import Bools, Floats, directions_of, wrap_angle
-from benchmark.road_map import Lane, RoadMap
+from benchmark.road_map import Handedness, Lane, RoadMap
 
 CONNECTOR_M: Final = 3.5
 """Width of a connector without neighbours."""

@@ -22,13 +22,13 @@ from benchmark.fairness.fault.definition import (
     FaultAttribution,
     FaultReason,
     FaultVerdict,
-    Handedness,
     UserKind,
     angle_between,
 )
 from benchmark.fairness.fault.places import ContactSite, HomeKind, Party
 from benchmark.fairness.fault.roads import FaultRoads
 from benchmark.fairness.fault.timing import ContactGeometry, first_unbroken
+from benchmark.road_map import Handedness
 
 _NO_ROADS: Final = FaultRoads([])
 

@@ -13,12 +13,12 @@ from benchmark.fairness.fault.definition import (
     FaultAttribution,
     FaultReason,
     FaultVerdict,
-    Handedness,
     RoadUser,
 )
 from benchmark.fairness.fault.roads import FaultRoads, RoadLane
 from benchmark.fairness.fault.rules import attribute_fault
 from benchmark.geometry import Floats
+from benchmark.road_map import Handedness
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden_sets import GoldenFolder
 
