@@ -215,5 +215,3 @@ class FaultAttribution:
 def angle_between(first: Floats | float, second: Floats | float) -> Floats:
     """Angles of directions, 0 to pi."""
     return np.abs(wrap_angle(np.asarray(first) - np.asarray(second)))
-
-

@@ -21,7 +21,11 @@ def find_ring(
     while ways:
         way, length = ways.pop()
         for following in successors[way[-1]]:
-            if following == start and length <= RING_M + SLACK and _is_round(np.concatenate([lines[lane] for lane in way]), handedness):
+            if (
+                following == start
+                and length <= RING_M + SLACK
+                and _is_round(np.concatenate([lines[lane] for lane in way]), handedness)
+            ):
                 return way
             longer = length + _measure(lines[following])
             back = float(np.hypot(*(lines[following][-1] - lines[start][0])))

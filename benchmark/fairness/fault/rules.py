@@ -282,9 +282,7 @@ def judge_same_lane(u: Party, w: Party) -> Ruling | None:
     if not _share_lane(u, w):
         return None
     if w.is_behind and _shifted_more(u, w):
-        return (
-            judge_priority(u, w, FaultReason.PULL_OUT) if u.was_still else judge_change(u, w, FaultReason.CUT_IN)
-        )
+        return judge_priority(u, w, FaultReason.PULL_OUT) if u.was_still else judge_change(u, w, FaultReason.CUT_IN)
     if u.is_behind and not _shifted_more(w, u):
         return blame(u, FaultReason.REAR_END)
     if u.is_behind or w.is_behind:
