@@ -60,11 +60,11 @@ class ContactSite:
     @property
     def is_off_map(self) -> bool:
         """Whether no lane is in reach."""
-        return min(self.outside_m.values(), default=np.inf) > MAP_REACH_M + SLACK
+        return bool(min(self.outside_m.values(), default=np.inf) > MAP_REACH_M + SLACK)
 
     def is_near(self, lane: int) -> bool:
         """Whether the contact is in a lane's strip or at its edge."""
-        return self.outside_m.get(lane, np.inf) <= EDGE_M + SLACK
+        return bool(self.outside_m.get(lane, np.inf) <= EDGE_M + SLACK)
 
     @cached_property
     def is_near_ring(self) -> bool:
@@ -91,14 +91,17 @@ class Party:
 
     @property
     def stands(self) -> bool:
+        """Whether it stood since it could settle."""
         return self.contact.stands(self.number)
 
     @property
     def was_still(self) -> bool:
+        """Whether it stood at some time since."""
         return self.contact.was_still(self.number)
 
     @property
     def reverses(self) -> bool:
+        """Whether it drove backwards."""
         return self.contact.reverses(self.number)
 
     @property
@@ -113,6 +116,7 @@ class Party:
 
     @property
     def is_vehicle(self) -> bool:
+        """Whether it is neither a person nor an object."""
         return self.kind is UserKind.VEHICLE
 
     def is_on(self, surface: MultiPolygon | None, sample: int) -> bool:

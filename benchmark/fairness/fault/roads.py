@@ -149,21 +149,25 @@ class FaultRoads:
         self._bounds = self._measure_bounds()
 
     def _measure_bounds(self) -> Floats:
-        """(L, 4) rectangles around strips."""
+        """(4, L) smallest x and y, then largest, of strips."""
         bounds = np.array([[*line.min(axis=0), *line.max(axis=0)] for line in self.lines]).reshape(-1, 4)
         bounds += self.width[:, None] / 2 * np.array([-1.0, -1.0, 1.0, 1.0])
         surfaces = shapely.bounds(self._polygons)
-        return np.concatenate(
-            [np.fmin(bounds[:, :2], surfaces[:, :2]), np.fmax(bounds[:, 2:], surfaces[:, 2:])], axis=1
-        )
+        low, high = np.fmin(bounds[:, :2], surfaces[:, :2]), np.fmax(bounds[:, 2:], surfaces[:, 2:])
+        return np.ascontiguousarray(np.concatenate([low, high], axis=1).T)
 
     def near(self, points: Floats, reach_m: float) -> Indices:
         """Lanes whose strip may be within some metres of one of (Q, 2) points."""
+        low, high = points.min(axis=0) - reach_m, points.max(axis=0) + reach_m
         bounds = self._bounds
-        low, high = points - reach_m, points + reach_m
-        inside = (bounds[:, None, 0] <= high[:, 0]) & (bounds[:, None, 1] <= high[:, 1])
-        inside &= (bounds[:, None, 2] >= low[:, 0]) & (bounds[:, None, 3] >= low[:, 1])
-        return np.flatnonzero(inside.any(axis=1))
+        inside = (bounds[0] <= high[0]) & (bounds[1] <= high[1]) & (bounds[2] >= low[0]) & (bounds[3] >= low[1])
+        lanes = np.flatnonzero(inside)
+        if len(points) == 1 or not len(lanes):
+            return lanes
+        around = bounds[:, lanes, None]
+        low, high = points.T - reach_m, points.T + reach_m
+        met = (around[0] <= high[0]) & (around[1] <= high[1]) & (around[2] >= low[0]) & (around[3] >= low[1])
+        return lanes[met.any(axis=1)]
 
     def locate(self, points: Floats, lanes: Indices | Sequence[int]) -> LanePlaces:
         """Where (Q, 2) points are beside lanes."""

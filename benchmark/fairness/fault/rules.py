@@ -197,12 +197,12 @@ def judge_merge(u: Party, w: Party) -> Ruling | None:
     """8, same approach. Of two lanes that run together, the one that bends towards the other."""
     if not _is_in_junction(u, w) or _approach_angle(u, w) > SAME_RAD + SLACK:
         return None
-    lanes, roads = (u.junction_lane, w.junction_lane), u.roads
-    if lanes[0] is None or lanes[1] is None or lanes[0] == lanes[1] or u.turns or w.turns:
+    own, others, roads = u.junction_lane, w.junction_lane, u.roads
+    if own is None or others is None or own == others or u.turns or w.turns:
         return None
-    if not set(roads.successors[lanes[0]]) & set(roads.successors[lanes[1]]):
+    if not set(roads.successors[own]) & set(roads.successors[others]):
         return None
-    bends = [roads.bend_m(lane) > roads.width[lane] / 2 + SLACK for lane in lanes]
+    bends = [roads.bend_m(lane) > roads.width[lane] / 2 + SLACK for lane in (own, others)]
     if bends[0] == bends[1]:
         return share(FaultReason.MERGE)
     return judge_priority(u, w, FaultReason.MERGE) if bends[0] else None

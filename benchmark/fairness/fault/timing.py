@@ -78,7 +78,7 @@ class ContactGeometry:
         poses = tuple(user.pose[-1] for user in self.users)
         if len(self.times) > 1:
             share = np.array(self._halve_to_touch())
-            poses = tuple(poses_between(*user.pose[-2:], share) for user in self.users)
+            poses = tuple(poses_between(user.pose[-2], user.pose[-1], share) for user in self.users)
         shapes = [
             shapely.polygons(box_corners(user.box_at(pose))) for user, pose in zip(self.users, poses, strict=True)
         ]
@@ -88,12 +88,12 @@ class ContactGeometry:
         return poses, shapely.get_coordinates(shapely.centroid(shared))[0]
 
     def _halve_to_touch(self) -> float:
-        """Share of the last step at which the boxes touch: twelve halvings, six at a time from all that they may ask."""
+        """Share of the last step at which boxes touch: twelve halvings, six at a time from all that they may ask."""
         low, size = 0.0, 1.0
         parts = 2**_AT_ONCE
         for _ in range(_HALVINGS // _AT_ONCE):
             shares = low + size * np.arange(1, parts) / parts
-            one, other = (user.box_at(poses_between(*user.pose[-2:], shares)) for user in self.users)
+            one, other = (user.box_at(poses_between(user.pose[-2], user.pose[-1], shares)) for user in self.users)
             touching = boxes_overlap(one, other)
             below, above = 0, parts
             while above - below > 1:
