@@ -239,7 +239,7 @@ class FaultRoads:
 
     def find_sign(self, junction_lane: int) -> str | None:
         """``light`` or ``give`` where a stop line of a type meets the lane or the last metres before it."""
-        if not self._signs:
+        if not self._sign_tree.query(shapely.box(*self._bounds[:, junction_lane]).buffer(STOP_REACH_M)).size:
             return None
         ways = [self.lines[junction_lane]]
         for number in self.predecessors[junction_lane]:
