@@ -177,13 +177,13 @@ class ContactTracks:
 
 @dataclass(frozen=True, slots=True)
 class UserFacts:
-    """What a verdict used of one user; seconds count back from the contact.
+    """What a verdict used of one user, and of the map only that; seconds count back from the contact.
 
     Attributes:
         entry_s: How long before the contact it came into the other's way; ``None`` if it always was there.
         time_left_s: Time that the other had then; infinite if it always was there.
         time_was: ``fair``, ``hard`` (only hard braking would have done) or ``short``.
-        home: ``lane``, ``against`` (oncoming) or ``off`` (beside all lanes); ``None`` without a map.
+        home: ``lane``, ``against`` (oncoming) or ``off`` (beside all lanes); ``None`` where no rule asked.
         left_home: Whether the contact is outside of it.
         junction_lane: The lane that it took through the junction, with its ``turn_rad``, left positive.
         sign: ``give``, ``light`` or ``None``.

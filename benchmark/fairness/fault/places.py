@@ -289,26 +289,19 @@ class Party:
     def _other_is_behind(self) -> bool:
         return self.contact.is_behind(1 - self.number)
 
-    def facts(self, *, with_map: bool) -> UserFacts:
-        """What is told of it beside the verdict."""
-        left, times = self.time_left, self.contact.times
+    def facts(self) -> UserFacts:
+        """What rules have asked about it."""
+        left, times, asked = self.time_left, self.contact.times, self.__dict__
         always = left.entry == self.contact.window
-        known = UserFacts(
-            None if always else float(times[-1] - times[left.entry]),
-            left.seconds,
-            "fair" if left.is_fair else "hard" if left.is_hard else "short",
-        )
-        if not with_map or not self.is_vehicle:
-            return known
-        lane = self.junction_lane
+        lane = self.junction_lane if "junction_lane" in asked else None
         return UserFacts(
-            known.entry_s,
-            known.time_left_s,
-            known.time_was,
-            str(self.home.kind),
-            self.left_home,
-            None if lane is None else self.roads.lanes[lane].identifier,
-            None if lane is None else self.turn_rad,
-            self.sign,
-            self.is_from_stem,
+            entry_s=None if always else float(times[-1] - times[left.entry]),
+            time_left_s=left.seconds,
+            time_was="fair" if left.is_fair else "hard" if left.is_hard else "short",
+            home=str(self.home.kind) if "home" in asked else None,
+            left_home=self.left_home if "left_home" in asked else None,
+            junction_lane=None if lane is None else self.roads.lanes[lane].identifier,
+            turn_rad=None if lane is None else self.turn_rad,
+            sign=asked.get("sign"),
+            ends_here=asked.get("is_from_stem", False),
         )

@@ -158,6 +158,8 @@ class FaultRoads:
 
     def near(self, points: Floats, reach_m: float) -> Indices:
         """Lanes whose strip may be within some metres of one of (Q, 2) points."""
+        if not len(points):
+            return np.zeros(0, np.int64)
         low, high = points.min(axis=0) - reach_m, points.max(axis=0) + reach_m
         bounds = self._bounds
         inside = (bounds[0] <= high[0]) & (bounds[1] <= high[1]) & (bounds[2] >= low[0]) & (bounds[3] >= low[1])

@@ -61,8 +61,8 @@ def attribute_fault(tracks: ContactTracks, roads: FaultRoads | None, handedness:
         verdict or (FaultVerdict.SHARED if ruling.blamed else FaultVerdict.UNCLEAR),
         ruling.reason,
         contact.point,
-        first.facts(with_map=roads is not None),
-        second.facts(with_map=roads is not None),
+        first.facts(),
+        second.facts(),
     )
 
 
