@@ -129,7 +129,7 @@ class Party:
 
     @cached_property
     def home(self) -> Home:
-        """Where it belongs; see docs/fault.md, "Home"."""
+        """Where it belongs; see docs/fault.md, "Words"."""
         contact = self.contact
         for sample in range(contact.settled, contact.window - 1, -1):
             point = self.pose[sample : sample + 1, :2]
@@ -196,7 +196,7 @@ class Party:
 
     @cached_property
     def junction_lane(self) -> int | None:
-        """The lane that it takes through a junction, J; see docs/fault.md, "Junction"."""
+        """The lane that it takes through a junction, J; see docs/fault.md, "Words"."""
         pose, ahead = self.pose[self.contact.settled :][::-1], self.user.length_m / 2
         front = pose[0] + ahead * np.array([np.cos(pose[0, 2]), np.sin(pose[0, 2]), 0.0])
         lane = self._choose_junction_lane(np.stack([pose[0], front]))

@@ -139,7 +139,7 @@ class ContactGeometry:
         return self._left[user]
 
     def _measure_time_left(self, user: int) -> TimeLeft:
-        """See `time_left`; docs/fault.md, "Time left"."""
+        """See `time_left`; docs/fault.md, "Words"."""
         came, other = self.users[user], self.users[1 - user]
         entry = self._find_entry(user)
         along = np.maximum(0.0, came.speed * np.cos(came.pose[:, 2] - other.pose[:, 2]))
