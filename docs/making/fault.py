@@ -12,8 +12,8 @@ import shapely
 
 from benchmark.extensions.golden_sets.fault import BUILT_IN
 from benchmark.extensions.golden_sets.fault.cases import FaultCase, read_cases
-from benchmark.fairness.fault.definition import RoadUser
-from benchmark.fairness.fault.timing import ContactGeometry
+from benchmark.fairness.fault_definition import RoadUser
+from benchmark.fairness.fault_timing import ContactGeometry
 from benchmark.geometry import box_corners, to_local
 from benchmark.verification.golden_sets import GoldenFolder
 
@@ -43,7 +43,7 @@ def main() -> None:
 
 
 def draw_case(axes: Any, case: FaultCase) -> None:
-    """The ego drives to the right; each way in pale, the boxes at the contact in full, at entry dashed with the time."""
+    """The ego drives to the right; ways in pale, boxes at the contact in full, those at entry dashed with the time."""
     contact = ContactGeometry(case.tracks)
     frame = np.array([*contact.point, case.tracks.ego.pose[contact.settled, 2]])
     for layer, colour in SURFACES.items():

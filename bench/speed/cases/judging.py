@@ -17,8 +17,8 @@ from bench.speed.case import Case
 from benchmark.datasets.sample_truth import compute_truth
 from benchmark.extensions.golden_sets.fault import BUILT_IN
 from benchmark.extensions.golden_sets.fault.cases import LAYERS, FaultCase, read_cases
-from benchmark.fairness.fault.roads import FaultRoads
-from benchmark.fairness.fault.rules import attribute_fault
+from benchmark.fairness.fault_roads import FaultRoads
+from benchmark.fairness.fault_rules import attribute_fault
 from benchmark.fairness.features import RoadEdge, extract_recorded_runs, extract_runs
 from benchmark.fairness.plan_severity import measure_plan_severities
 from benchmark.fairness.severity_series import measure_severity

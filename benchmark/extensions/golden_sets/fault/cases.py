@@ -8,15 +8,15 @@ import numpy as np
 from shapely.affinity import affine_transform
 from shapely.geometry import Polygon
 
-from benchmark.fairness.fault.definition import (
+from benchmark.fairness.fault_definition import (
     ContactTracks,
     FaultAttribution,
     FaultReason,
     FaultVerdict,
     RoadUser,
 )
-from benchmark.fairness.fault.roads import FaultRoads, RoadLane
-from benchmark.fairness.fault.rules import attribute_fault
+from benchmark.fairness.fault_roads import FaultRoads, RoadLane
+from benchmark.fairness.fault_rules import attribute_fault
 from benchmark.geometry import Floats
 from benchmark.road_map import Handedness
 from benchmark.verification.checks import Comparison

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from benchmark.extensions.golden_sets.fault import BUILT_IN, GOLDEN
 from benchmark.extensions.golden_sets.fault.cases import EXCHANGED, FaultCase, read_cases
-from benchmark.fairness.fault.definition import ContactTracks, RoadUser
+from benchmark.fairness.fault_definition import ContactTracks, RoadUser
 from benchmark.verification.golden_sets import GoldenFolder
 from tests.benchmark.cli.cli_runs import refusal
 from tests.benchmark.cli.in_process import run_here

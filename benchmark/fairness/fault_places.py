@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from shapely.geometry import MultiPolygon
 
-from benchmark.fairness.fault.definition import (
+from benchmark.fairness.fault_definition import (
     EDGE_M,
     MAP_REACH_M,
     ONCOMING_RAD,
@@ -22,8 +22,8 @@ from benchmark.fairness.fault.definition import (
     UserKind,
     angle_between,
 )
-from benchmark.fairness.fault.roads import FaultRoads
-from benchmark.fairness.fault.timing import ContactGeometry, TimeLeft, first_unbroken
+from benchmark.fairness.fault_roads import FaultRoads
+from benchmark.fairness.fault_timing import ContactGeometry, TimeLeft, first_unbroken
 from benchmark.geometry import Bools, Floats, box_corners, to_local
 from benchmark.road_map import Handedness
 

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 import shapely
 
-from benchmark.fairness.fault.definition import (
+from benchmark.fairness.fault_definition import (
     EDGE_M,
     FAIR_M_S2,
     HARD_M_S2,

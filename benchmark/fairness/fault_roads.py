@@ -1,4 +1,4 @@
-"""Roads as fault attribution needs them: strips of lanes, turns, road ends, signs, rings, and surfaces."""
+"""Roads as fault attribution needs them: strips of lanes, turns, road ends, signs, surfaces, and handedness."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -9,8 +9,8 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry import MultiPolygon, Polygon
 
-from benchmark.fairness.fault.definition import ARM_M, SLACK, STOP_REACH_M, TURN_RAD, angle_between
-from benchmark.fairness.fault.rings import find_ring
+from benchmark.fairness.fault_definition import ARM_M, ONCOMING_RAD, SLACK, STOP_REACH_M, TURN_RAD, angle_between
+from benchmark.fairness.fault_rings import find_ring
 from benchmark.geometry import Bools, Floats, directions_of, wrap_angle
 from benchmark.road_map import Handedness, Lane, RoadMap
 
@@ -20,6 +20,8 @@ WIDEST_CONNECTOR_M: Final = 4.5
 """Lanes of nuScenes are 6 to 12 m wide, so polygons decide and widths are only for connectors."""
 GIVE_WAY: Final = ("STOP_SIGN", "YIELD")
 LIGHT: Final = "TRAFFIC_LIGHT"
+BESIDE_M: Final = 15.0
+"""Centre lines of oncoming lanes of one road are at most so far apart."""
 Indices = NDArray[np.int64]
 
 
@@ -304,3 +306,27 @@ def _cut_end(line: Floats, length_m: float) -> Floats:
     begin = max(0.0, float(station[-1]) - length_m)
     first = np.array([np.interp(begin, station, axis) for axis in line.T])
     return np.concatenate([first[None], line[station > begin]])
+
+
+def find_handedness(location: str, roads: FaultRoads | None, given: Handedness | None = None) -> Handedness:
+    """As given, else by its lanes, else by the name of the place; right where nothing tells.
+
+    Lanes come before names: maps that are no city's go by the names of cities, since official code opens no others.
+    """
+    known = given or (None if roads is None else derive_handedness(roads))
+    return known or Handedness.of_location(location) or Handedness.RIGHT
+
+
+def derive_handedness(roads: FaultRoads) -> Handedness | None:
+    """By the side on which lanes have the nearest oncoming lane; ``None`` where as many say left as right."""
+    votes = 0
+    for lane in np.flatnonzero(~roads.is_junction).tolist():
+        middle = roads.lines[lane][len(roads.lines[lane]) // 2][None]
+        heading = roads.headings[roads.first[lane] + (len(roads.lines[lane]) - 1) // 2]
+        places = roads.locate(middle, roads.near(middle, BESIDE_M))
+        oncoming = angle_between(places.heading[0], heading) >= ONCOMING_RAD
+        apart = np.where(oncoming & ~places.beyond[0] & ~roads.is_junction[places.lanes], places.distance[0], np.inf)
+        nearest = int(apart.argmin())
+        if apart[nearest] <= BESIDE_M:
+            votes += int(np.sign(places.offset[0, nearest]))
+    return None if votes == 0 else Handedness.RIGHT if votes > 0 else Handedness.LEFT

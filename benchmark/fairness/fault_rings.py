@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmark.fairness.fault.definition import RING_M, RING_SPREAD, SLACK
+from benchmark.fairness.fault_definition import RING_M, RING_SPREAD, SLACK
 from benchmark.geometry import Floats, directions_of, wrap_angle
 from benchmark.road_map import Handedness
 

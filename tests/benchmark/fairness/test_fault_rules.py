@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from shapely.geometry import box
 
-from benchmark.fairness.fault.definition import ContactTracks, RoadUser
-from benchmark.fairness.fault.rules import RULES, attribute_fault
+from benchmark.fairness.fault_definition import ContactTracks, RoadUser
+from benchmark.fairness.fault_rules import RULES, attribute_fault
 from benchmark.road_map import Handedness
-from tests.benchmark.fairness.fault.made import (
+from tests.benchmark.fairness.made_roads import (
     BARRIER,
     CAR,
     EAST,

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from benchmark.fairness.fault.definition import (
+from benchmark.fairness.fault_definition import (
     EDGE_M,
     HARD_M_S2,
     ONCOMING_RAD,
@@ -25,9 +25,9 @@ from benchmark.fairness.fault.definition import (
     UserKind,
     angle_between,
 )
-from benchmark.fairness.fault.places import ContactSite, HomeKind, Party
-from benchmark.fairness.fault.roads import FaultRoads
-from benchmark.fairness.fault.timing import ContactGeometry, first_unbroken
+from benchmark.fairness.fault_places import ContactSite, HomeKind, Party
+from benchmark.fairness.fault_roads import FaultRoads
+from benchmark.fairness.fault_timing import ContactGeometry, first_unbroken
 from benchmark.road_map import Handedness
 
 _NO_ROADS: Final = FaultRoads([])

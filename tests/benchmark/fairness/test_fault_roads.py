@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from shapely.geometry import MultiPolygon, box
 
-from benchmark.fairness.fault.handedness import derive_handedness, find_handedness
-from benchmark.fairness.fault.roads import FaultRoads, RoadLane
+from benchmark.fairness.fault_roads import FaultRoads, RoadLane, derive_handedness, find_handedness
 from benchmark.road_map import Handedness, Lane, RoadMap
-from tests.benchmark.fairness.fault.made import EAST, LANE_M, lane, ring_lanes, straight_road, t_junction
+from tests.benchmark.fairness.made_roads import EAST, LANE_M, lane, ring_lanes, straight_road, t_junction
 
 
 def mirrored(roads: FaultRoads) -> FaultRoads:

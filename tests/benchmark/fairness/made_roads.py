@@ -3,9 +3,9 @@
 import numpy as np
 from shapely.geometry import Polygon, box
 
-from benchmark.fairness.fault.definition import ContactTracks, FaultAttribution, RoadUser
-from benchmark.fairness.fault.roads import FaultRoads, RoadLane
-from benchmark.fairness.fault.rules import attribute_fault
+from benchmark.fairness.fault_definition import ContactTracks, FaultAttribution, RoadUser
+from benchmark.fairness.fault_roads import FaultRoads, RoadLane
+from benchmark.fairness.fault_rules import attribute_fault
 from benchmark.geometry import Floats
 from benchmark.road_map import Handedness
 
