@@ -1,1 +1,1 @@
-"""Judgement of whole scenes and splits by the instruments of `drivers`, `severity` and `realism`, and fault attribution."""
+"""Judgement of scenes and splits by the instruments of `drivers`, `severity` and `realism`; whose fault a contact is."""

@@ -9,6 +9,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import shapely
+from matplotlib.patches import Polygon
 
 from benchmark.extensions.golden_sets.fault import BUILT_IN
 from benchmark.extensions.golden_sets.fault.cases import FaultCase, read_cases
@@ -72,11 +73,11 @@ def draw_user(axes: Any, contact: ContactGeometry, number: int, frame: Any, colo
     entered = contact.time_left(number).entry
     entry = corners[entered - contact.window]
     if entered > contact.window and np.hypot(*(entry - corners[-1]).mean(axis=0)) > LABELLED_M:
-        axes.add_patch(plt.Polygon(entry, fill=False, edgecolor=colour, linestyle="--", linewidth=1.0))
+        axes.add_patch(Polygon(entry, fill=False, edgecolor=colour, linestyle="--", linewidth=1.0))
         seconds = contact.times[-1] - contact.times[entered]
         axes.text(*entry.mean(axis=0), f"{seconds:.1f} s", color=colour, fontsize=7, ha="center", va="center")
     box = to_local(box_corners(user.box_at(contact.poses[number])), frame)
-    axes.add_patch(plt.Polygon(box, facecolor=colour, edgecolor="black", linewidth=0.6, zorder=3))
+    axes.add_patch(Polygon(box, facecolor=colour, edgecolor="black", linewidth=0.6, zorder=3))
     front = box[[0, 3]].mean(axis=0)
     axes.plot(*np.stack([box.mean(axis=0), front]).T, color="white", linewidth=1.0, zorder=4)
 
