@@ -1,1 +1,1 @@
-"""Judgement of scenes and splits by the instruments of `drivers`, `severity` and `realism`; whose fault a contact is."""
+"""Judgement of scenes and splits by the instruments of `drivers`, `severity` and `realism`; fault of contacts."""
