@@ -28,6 +28,8 @@ STOP_REACH_M: Final = 10.0
 RING_M: Final = 200.0
 RING_SPREAD: Final = (0.7, 1.3)
 MAP_REACH_M: Final = 5.0
+LANES_M: Final = 100.0
+"""Lanes farther away are not looked at."""
 SLACK: Final = 1e-9
 """Of every comparison, towards the side that an exact tie falls to."""
 

@@ -13,6 +13,7 @@ import numpy as np
 from benchmark.fairness.fault_definition import (
     EDGE_M,
     HARD_M_S2,
+    LANES_M,
     ONCOMING_RAD,
     REACTION_S,
     SAME_RAD,
@@ -161,7 +162,8 @@ def judge_off_road(u: Party, w: Party) -> Ruling | None:
     surface, settled = u.roads.drivable_area, u.contact.settled
     if not u.is_vehicle or not u.is_off_given(surface, -1) or not u.is_on(surface, settled):
         return None
-    places = u.roads.locate(u.pose[-1:, :2], range(len(u.roads.lanes)))
+    place = u.pose[-1:, :2]
+    places = u.roads.locate(place, u.roads.near(place, LANES_M))
     if not len(places.lanes) or places.beyond[0, int(places.outside[0].argmin())]:
         return None
     return blame(u, FaultReason.OFF_ROAD)

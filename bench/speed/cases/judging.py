@@ -278,7 +278,7 @@ CASES = (
     ),
     Case(
         "fault",
-        "Whose fault contacts are (`fault@1`), on one map of some 1,900 lanes.",
+        "Whose fault contacts are (`fault@1`), on one map of some 1,500 lanes.",
         contacts_on_one_map,
         attribute_contacts,
         "contact",
