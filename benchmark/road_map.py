@@ -19,6 +19,29 @@ SLACK: Final = 1e-3
 """Nodes; far above rounding."""
 
 
+class Handedness(StrEnum):
+    """Side of the road that traffic keeps to."""
+
+    RIGHT = "right"
+    LEFT = "left"
+
+    @property
+    def far_turn(self) -> int:
+        """Sign of a turn across oncoming traffic, left positive."""
+        return 1 if self is Handedness.RIGHT else -1
+
+    @classmethod
+    def of_location(cls, location: str) -> Self | None:
+        """By the names of nuScenes, nuPlan and Argoverse 2; ``None`` of any other place."""
+        if location.startswith(_LEFT_HAND_TRAFFIC):
+            return cls("left")
+        return cls("right") if location.startswith(_RIGHT_HAND_TRAFFIC) else None
+
+
+_LEFT_HAND_TRAFFIC: Final = ("singapore", "sg-")
+_RIGHT_HAND_TRAFFIC: Final = ("boston", "us-", "las-vegas", "pittsburgh")
+
+
 class DividerKind(StrEnum):
     """How a divider is painted."""
 
@@ -69,6 +92,7 @@ class RoadMap:
         road_segments: ``intersections`` names those that are junctions.
         road_blocks: Road surfaces of one driving direction (nuScenes ``road_block``).
         canvas_m: Width and height of the whole map.
+        stop_line_types: nuScenes' ``stop_line_type`` of stop lines that have one, by identifier.
     """
 
     location: str
@@ -83,6 +107,7 @@ class RoadMap:
     carparks: dict[str, Polygon] = field(default_factory=dict)
     road_blocks: dict[str, Polygon] = field(default_factory=dict)
     canvas_m: tuple[float, float] = (0.0, 0.0)
+    stop_line_types: dict[str, str] = field(default_factory=dict)
     _lane_bounds: list[Floats] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def lane_bounds(self) -> Floats:

@@ -123,6 +123,9 @@ class _ExpansionShapes:
             intersections=frozenset(intersections & set(surfaces["road_segments"])),
             canvas_m=(float(width), float(height)),
             road_blocks=road_blocks,
+            stop_line_types={
+                row["token"]: str(row["stop_line_type"]) for row in layers["stop_line"] if row.get("stop_line_type")
+            },
             **surfaces,
         )
 

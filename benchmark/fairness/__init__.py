@@ -1,1 +1,1 @@
-"""Judgement of whole scenes and splits by the instruments of `drivers`, `severity` and `realism`."""
+"""Judgement of scenes and splits by the instruments of `drivers`, `severity` and `realism`; fault of contacts."""

@@ -79,6 +79,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "drivers": "benchmark.extensions.golden_sets.drivers:GOLDEN",
         "severity": "benchmark.extensions.golden_sets.severity:GOLDEN",
         "realism": "benchmark.extensions.golden_sets.realism:GOLDEN",
+        "fault": "benchmark.extensions.golden_sets.fault:GOLDEN",
         "infos": "benchmark.extensions.infos.verification:GOLDEN",
         "neuroncap": "benchmark.extensions.neuroncap.verification:GOLDEN",
         "model": "adapters.extensions.golden_sets.models:verify_model",

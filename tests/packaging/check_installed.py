@@ -18,7 +18,7 @@ from typing import Any
 
 COMMAND = Path(sys.executable).parent / "challenger-bench"
 OF_EXTRAS = ("ray", "casadi", "diffusers", "transformers", "sentencepiece", "av", "uvicorn", "starlette", "httpx2")
-GOLDEN = ("physics", "scoring", "denoiser", "protocols", "pdm", "neuroncap", "drivers", "severity", "realism")
+GOLDEN = ("physics", "scoring", "denoiser", "protocols", "pdm", "neuroncap", "drivers", "severity", "realism", "fault")
 TINY = ("--town-scenes", "1", "--size", "96x54", "--frames", "keyframes")
 
 

@@ -15,6 +15,10 @@ import numpy as np
 
 from bench.speed.case import Case
 from benchmark.datasets.sample_truth import compute_truth
+from benchmark.extensions.golden_sets.fault import BUILT_IN
+from benchmark.extensions.golden_sets.fault.cases import LAYERS, FaultCase, read_cases
+from benchmark.fairness.fault_roads import FaultRoads
+from benchmark.fairness.fault_rules import attribute_fault
 from benchmark.fairness.features import RoadEdge, extract_recorded_runs, extract_runs
 from benchmark.fairness.plan_severity import measure_plan_severities
 from benchmark.fairness.severity_series import measure_severity
@@ -30,6 +34,7 @@ from benchmark.planning import Plan, PlanFrame
 from benchmark.protocols import PROTOCOLS
 from benchmark.scene import Annotations, Scene
 from benchmark.truth import SampleTruth
+from benchmark.verification.golden_sets import GoldenFolder
 from generation.sources.town import build_town_scene
 from tests.benchmark.pdm.cases import slow_objects
 from tests.benchmark.pdm.slow_pdm import SlowSample, slow_progress, slow_verdict
@@ -52,6 +57,34 @@ SLOW: dict[str, Callable[[SampleTruth, Floats], list[bool]]] = {
     "agent-driver": lambda truth, plan: slow.slow_uniad(truth, plan).collision,
 }
 """Of those that latch, mirror or share flags with others there is no slow version of their own."""
+
+
+def contacts_on_one_map(quick: bool, folder: Path) -> tuple[list[FaultCase], FaultRoads]:
+    """The golden cases that have a map, each in a place of its own, several times over, and one map of all of them."""
+    mapped = [case for case in read_cases(GoldenFolder(BUILT_IN)) if case.lanes]
+    places = [
+        (case, 1e4 * number, 1e4 * copy) for number, case in enumerate(mapped) for copy in range(1 if quick else 8)
+    ]
+    cases = [case.turned(0.0, (x, y)) for case, x, y in places]
+    lanes = [
+        replace(
+            lane, identifier=f"{number}/{lane.identifier}", successors=tuple(f"{number}/{n}" for n in lane.successors)
+        )
+        for number, case in enumerate(cases)
+        for lane in case.lanes or ()
+    ]
+    surfaces = {name: [shape for case in cases for shape in case.surfaces[name]] for name in LAYERS}
+    return cases, FaultRoads(lanes, **surfaces, stop_lines=[line for case in cases for line in case.stop_lines])
+
+
+def attribute_contacts(state: tuple[list[FaultCase], FaultRoads]) -> tuple[float, int]:
+    """Verdicts on all; how many are not those of the set."""
+    cases, roads = state
+    found = [attribute_fault(case.tracks, roads, case.handedness) for case in cases]
+    wrong = sum(
+        (fault.verdict, fault.reason) != (case.verdict, case.reason) for fault, case in zip(found, cases, strict=True)
+    )
+    return len(cases), wrong
 
 
 def adversary_of(scene: Scene) -> int:
@@ -242,6 +275,15 @@ CASES = (
         more=lambda _, found: f"{sum(each.contact is not None for each in found)} of {len(found)} touch somebody",
         fresh=True,
         most_s=0.001,
+    ),
+    Case(
+        "fault",
+        "Whose fault contacts are (`fault@1`), on one map of some 1,500 lanes.",
+        contacts_on_one_map,
+        attribute_contacts,
+        "contact",
+        more=lambda _, wrong: f"{wrong} verdicts differ from the golden set",
+        most_s=0.005,
     ),
     Case(
         "judgement/scenes",

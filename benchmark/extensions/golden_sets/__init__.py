@@ -1,1 +1,1 @@
-"""Comparison with golden numbers of other people's code: protocols, driving scores, drivers, severity, realism."""
+"""Comparison with golden numbers of others' code: protocols, driving scores, drivers, severity, realism, fault."""

@@ -118,6 +118,7 @@ def test_every_layer_is_read(tmp_path: Path) -> None:
     assert road_map.intersections == {"junction"} and set(road_map.road_segments) == {"junction", "road"}
     areas = {"ped_crossings": "zebra", "walkways": "pavement", "stop_lines": "stop", "carparks": "park"}
     assert all(set(getattr(road_map, layer)) == {name} for layer, name in areas.items())
+    assert road_map.stop_line_types == {"stop": "TRAFFIC_LIGHT"}
 
 
 def test_an_arc_turns_as_far_as_it_says() -> None:
