@@ -6,6 +6,7 @@ Some readers (py123d, trajdata) know no other scenes than nuScenes' own: they le
 import csv
 import io
 import shutil
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.constants import NUSCENES_TABLES, OFFICIAL_LOCATIONS
+from benchmark.constants import CAMERA_NAMES, LIDAR_NAME, NUSCENES_TABLES, OFFICIAL_LOCATIONS
 from benchmark.datasets.cached_tables import read_tables_cached
 from benchmark.datasets.devkit_import import import_devkit_module
 from benchmark.datasets.map_layers import find_expansion_file
@@ -79,9 +80,12 @@ def export_nuscenes(data: DataSet, names: Sequence[str], to: Path) -> tuple[Borr
         The roots.
 
     Raises:
-        InputError: If there are more scenes than nuScenes has names for, or one lies in none of its cities; if the data
-            set is such an export, or is broken; if the folder holds something else or cannot be written.
+        InputError: If there is no scene or more than nuScenes has names for; if one lies in none of its cities or lacks
+            a camera or the lidar; if the data set is such an export, or is broken; if the folder holds something else
+            or cannot be written.
     """
+    if not names:
+        raise InputError("there is no scene to export; name one with --scenes, or leave --scenes and --limit out")
     to = to.resolve()
     exports = [_RootExport(root, chosen, folder) for root, chosen, folder in _list_roots(data, names, to)]
     if to.is_dir() and any(to.iterdir()):
@@ -131,7 +135,7 @@ class _RootExport:
             # Strings hash differently in each process.
             raise InputError(f"two tokens of {data.root} collided by chance; run the same command again")
         self._tables: SceneTables = tables
-        wanted = set(names)
+        wanted, self._facts = set(names), data.scene_facts(names)
         self._scenes = [row for row in tables.shared["scene"] if row["name"] in wanted]
         self._logs = {row["token"]: row for row in tables.shared["log"]}
         cities = self._find_cities()
@@ -188,9 +192,8 @@ class _RootExport:
             )
         free = iter([name for name in known if name not in set(own)])
         borrowed = {name: name if name in known else next(free) for name in own}
-        facts = self._data.scene_facts(own)
         shifts = compute_shifts_us([(row["name"], *self._find_span(row)) for row in self._scenes])
-        names = (BorrowedName(borrowed[name], name, facts[name].source, shifts.get(name, 0)) for name in own)
+        names = (BorrowedName(borrowed[name], name, self._facts[name].source, shifts.get(name, 0)) for name in own)
         return tuple(sorted(names, key=lambda scene: scene.scene))
 
     def _find_span(self, scene: Row) -> tuple[int, int]:
@@ -201,7 +204,6 @@ class _RootExport:
     def _build_provenance(self) -> dict[str, Any]:
         """The mark, and what the data set's own file says of its scenes, under their borrowed names."""
         reports = self._made.get("scenes", {})
-        facts = self._data.scene_facts([scene.name for scene in self.root.names])
         return {
             "schema": 1,
             "split": BORROWED_NAMES,
@@ -210,7 +212,7 @@ class _RootExport:
             "stand_in_maps": dict(self.root.stand_in_maps),
             "scenes": {
                 scene.scene: {
-                    **({"adversaries": []} if facts[scene.name].adversaries == 0 else {}),
+                    **({"adversaries": []} if self._facts[scene.name].adversaries == 0 else {}),
                     **reports.get(scene.name, {}),
                     "source_scene": scene.source_scene,
                     "exported_from": scene.name,
@@ -228,6 +230,7 @@ class _RootExport:
             scene = by_name[row["name"]]
             lines["scene"][row["token"]] = canonical_json({"description": "", **row, "name": scene.scene})
             rows = self._tables.of_scene(row["token"])
+            self._require_sensors(row, rows)
             mounts |= {data_row["calibrated_sensor_token"] for data_row in rows["sample_data"]}
             for table in GROWING_TABLES:
                 for part in rows[table]:
@@ -238,6 +241,19 @@ class _RootExport:
             lines[table] = {row["token"]: canonical_json(row) for row in kept}
         for table, texts in lines.items():
             write_bytes(folder / f"{table}.json", ("[\n" + ",\n".join(texts.values()) + "\n]\n").encode())
+
+    def _require_sensors(self, scene: Row, rows: Mapping[str, Sequence[Row]]) -> None:
+        """Refuse scenes on which such readers fail: they take poses from a camera or the lidar."""
+        sensors = {row["token"]: row["channel"] for row in rows["sensor"]}
+        channels = {row["token"]: sensors[row["sensor_token"]] for row in rows["calibrated_sensor"]}
+        seen = Counter(channels[row["calibrated_sensor_token"]] for row in rows["sample_data"] if row["is_key_frame"])
+        for name in (*CAMERA_NAMES, LIDAR_NAME):
+            if seen[name] < len(rows["sample"]):
+                lacking = len(rows["sample"]) - seen[name]
+                raise InputError(
+                    f"{scene['name']} has no {name} at {lacking} of its samples, on which such readers fail; build the "
+                    "data set with images (--renderer schematic or magicdrive)"
+                )
 
     def _select_shared(self, mounts: Collection[str]) -> dict[str, list[Row]]:
         """Rows of the tables that do not grow, less those of other scenes."""

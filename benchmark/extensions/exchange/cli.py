@@ -65,17 +65,18 @@ def export_nuscenes_command(options: ExportOptions) -> None:
     from benchmark.extensions.exchange.borrowed_names import NAMES_FILE, export_nuscenes
 
     dataset, names = _scenes_to_export(options)
-    for root in export_nuscenes(dataset, names, options.to):
-        if options.json_output:
-            print_json(asdict(root) | {"folder": str(root.folder)})
-            continue
+    roots = export_nuscenes(dataset, names, options.to)
+    if options.json_output:
+        print_json({"roots": [asdict(root) | {"folder": str(root.folder)} for root in roots]})
+        return
+    for root in roots:
         typer.echo(
-            f"{pluralise(len(root.names), 'scene')} in {root.folder}; {NAMES_FILE} says whose names they have, "
-            "eval takes the data set itself"
+            f"{pluralise(len(root.names), 'scene')} in {root.folder}, called as nuScenes' validation scenes are "
+            f"({NAMES_FILE} says which is which); no command here evaluates that root"
         )
         if root.cities_without_lanes:
             cities = ", ".join(root.cities_without_lanes)
-            typer.echo(f"no map with lanes: {cities}; readers that open maps fail")
+            typer.echo(f"warning: there are no lanes in the map of {cities}, on which readers of maps may fail")
 
 
 def _scenes_to_export(options: ExportOptions) -> "tuple[DataSet, tuple[str, ...]]":
