@@ -127,9 +127,7 @@ class _RootExport:
     def __init__(self, data: DataSet, names: Sequence[str], folder: Path) -> None:
         self._data, self._made = data, data.provenance() or {}
         if self._made.get("split") == BORROWED_NAMES:
-            raise InputError(
-                f"{data.root} is an export under borrowed names; export the data set that it was made from"
-            )
+            raise InputError(f"{data.root} is such an export; choose the data set that it was exported from")
         tables = read_tables_cached(data.root / data.version, FaultList())
         if tables is None:
             # Strings hash differently in each process.
