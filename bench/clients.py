@@ -1,9 +1,9 @@
 """What py123d and trajdata read of an exported root (``data export nuscenes``), beside what its tables hold.
 
 Run as ``python bench/clients.py``, with ``--data ROOT --split adv`` for scenes of one's own. The pins of the packages
-clash with ours and with each other's: each gets an environment of its own below ``--folder`` (from PyPI, some 3 GB; made
-once), and reads the data set as it is, too. The exit code is 1 where a number of the exported root differs. The figures:
-``docs/extensions/exchange.md``.
+clash with ours and with each other's: each gets an environment of its own below ``--folder`` (from PyPI, gigabytes,
+made once), and reads the data set as it is, too. The exit code is 1 where a number of the exported root differs. The
+figures: ``docs/extensions/exchange.md``.
 """
 
 import argparse
