@@ -45,9 +45,9 @@ def write_variants(root: Path, **settings: Any) -> Path:
     """Two variants of one recording, which share their times, and one of another."""
     plan = DataSetPlan(root=root, **{"split": "adv", "renderer": SolidRenderer(), **settings})
     scenes = [with_adversary(short_scene(name[:10]), agent) for agent, name in zip((0, 1, 0), OWN)]
-    said = {"report": {"labels": {"manoeuvre": "cut-in-left"}}}
+    report = {"labels": {"manoeuvre": "cut-in-left"}}
     keys = [
-        write_scene(plan, scene, name=name, source_scene=scene.name, **said)
+        write_scene(plan, scene, name=name, source_scene=scene.name, report=report)
         for scene, name in zip(scenes, OWN, strict=True)
     ]
     finish_data_set(plan, keys)
