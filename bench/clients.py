@@ -50,17 +50,25 @@ parser = NuScenesParser(["nuscenes_val"], nuscenes_data_root=sys.argv[1], nuscen
 logs = parser.get_log_parsers()
 frames = [frame for log in logs for frame in log.iter_modalities_sync()]
 boxes = [each for frame in frames for each in frame.modalities if isinstance(each, BoxDetectionsSE3)]
-lanes = [each for road in parser.get_map_parsers() for each in road.iter_map_objects() if isinstance(each, Lane)]
+maps = [any(isinstance(each, Lane) for each in road.iter_map_objects()) for road in parser.get_map_parsers()]
 print(json.dumps({
     "scenes": len(logs), "frames": len(frames), "boxes": sum(len(each.box_detections) for each in boxes),
-    "lanes": len(lanes),
+    "maps": sum(maps),
 }))
 """,
     ),
     Client(
         "trajdata",
         # Its own pins take releases that came later and break it.
-        ("trajdata[nusc]==1.4.*", "torch==2.13.0", "numpy<2", "matplotlib<3.8", "opencv-python<5"),
+        (
+            "trajdata[nusc]==1.4.*",
+            "torch==2.13.0",
+            "numpy<2",
+            "pandas<3",
+            "pyarrow<20",
+            "matplotlib<3.8",
+            "opencv-python<5",
+        ),
         """
 import json, sys, tempfile
 from pathlib import Path
@@ -71,10 +79,10 @@ with tempfile.TemporaryDirectory() as folder:
         incl_vector_map=True, verbose=False,
     )
     scenes, maps = list(data.scenes()), MapAPI(Path(folder))
-    lanes = [len(maps.get_map(f"nusc_trainval:{city}").lanes) for city in sys.argv[2:]]
+    found = [bool(maps.get_map(f"nusc_trainval:{city}").lanes) for city in sys.argv[2:]]
 print(json.dumps({
     "scenes": len(scenes), "frames": sum(scene.length_timesteps for scene in scenes),
-    "agents": sum(len(scene.agents) for scene in scenes), "lanes": sum(lanes),
+    "agents": sum(len(scene.agents) for scene in scenes), "maps": sum(found),
 }))
 """,
     ),
@@ -82,7 +90,7 @@ print(json.dumps({
 
 
 def count_root(root: Path) -> Counts:
-    """What a reader should find: ``agents`` are egos, and people and vehicles with two boxes or more."""
+    """What a reader should find: ``agents`` are egos, and people and vehicles of two boxes or more; maps have lanes."""
 
     def rows(table: str) -> list[dict[str, Any]]:
         content: list[dict[str, Any]] = read_json(root / VERSION_FOLDER / f"{table}.json")
@@ -97,7 +105,7 @@ def count_root(root: Path) -> Counts:
         "frames": len(rows("sample")),
         "boxes": boxes.total(),
         "agents": len(rows("scene")) + sum(boxes[row["token"]] > 1 for row in moving),
-        "lanes": sum(len(layers["lane"]) + len(layers["lane_connector"]) for layers in maps),
+        "maps": sum(bool(layers["lane"]) for layers in maps),
     }
 
 
@@ -142,12 +150,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     expected, rows, same = count_root(exported.folder), [], True
     for client, python in zip(CLIENTS, pythons, strict=True):
         found, before = (read_root(python, client, root.resolve()) for root in (exported.folder, data.root))
-        for name, count in expected.items():
-            if isinstance(found, str) or name in found:
-                read, own = (each if isinstance(each, str) else str(each[name]) for each in (found, before))
-                rows.append((client.name, name, f"{count}", read, own))
-                same &= read == str(count)
-    print(build_table("", "", ("reader", "number of", "in the tables", "read", "without the export"), rows).plain())
+        for counts, of in ((found, "the export"), (before, "the data set itself")):
+            if isinstance(counts, str):
+                print(f"{client.name} fails on {of}: {counts}")
+        read, own = ({} if isinstance(each, str) else each for each in (found, before))
+        rows += [
+            (client.name, name, f"{expected[name]}", f"{read.get(name, '-')}", f"{own.get(name, '-')}")
+            for name in (read or own or expected)
+        ]
+        same &= bool(read) and all(expected[name] == count for name, count in read.items())
+    print(build_table("", "", ("reader", "what", "in tables", "read", "without export"), rows).plain())
     return 0 if same else 1
 
 

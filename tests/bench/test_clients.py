@@ -13,8 +13,8 @@ from benchmark.extensions.exchange.borrowed_names import export_nuscenes
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 
 PYTHON = Path(sys.executable)
-COUNTS = {"scenes": 1, "frames": 2, "boxes": 6, "agents": 4, "lanes": 16}
-"""Of a scene of a second with three cars, on four maps of four lanes."""
+COUNTS = {"scenes": 1, "frames": 2, "boxes": 6, "agents": 4, "maps": 4}
+"""Of a scene of a second with three cars."""
 
 
 @pytest.fixture(scope="module")
