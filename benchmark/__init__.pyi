@@ -68,6 +68,7 @@ from benchmark.extensions.challenge.rules import read_rules as challenge_rules
 from benchmark.extensions.challenge.scoring import ScoreSettings as ScoreSettings
 from benchmark.extensions.challenge.scoring import score_entries as score_challenge
 from benchmark.extensions.exchange.exporting import export_scenarionet as export_scenarionet
+from benchmark.extensions.exchange.borrowed_names import export_nuscenes as export_nuscenes
 from benchmark.extensions.exchange.openscenario import export_openscenario as export_openscenario
 from benchmark.extensions.explain.pictures import explain as explain_protocols
 from benchmark.extensions.http.cli import serve_planner as serve_planner

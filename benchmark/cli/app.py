@@ -165,6 +165,7 @@ _GROUPS: Final[Groups] = {
 add_command_of_extension("data export infos", _GROUPS)
 add_command_of_extension("data export scenarionet", _GROUPS)
 add_command_of_extension("data export openscenario", _GROUPS)
+add_command_of_extension("data export nuscenes", _GROUPS)
 add_command_of_extension("leaderboard submit-check", _GROUPS)
 add_command_of_extension("data review", _GROUPS)
 add_command(data.app, "pack", packages.data_pack_command)

@@ -46,6 +46,8 @@ def sort_as_exported(scenes: Sequence[str], times_us: NDArray[np.int64]) -> NDAr
     return np.argsort(times_us + np.array([shifts.get(name, 0) for name in scenes], np.int64), kind="stable")
 
 
+BORROWED_NAMES: Final = "borrowed-names"
+"""Split in ``challenger.json`` of a root whose scenes have names of nuScenes' own: no split of it is evaluated."""
 _SUFFIXED = re.compile(r"scene-\d{4}-.+")
 
 
@@ -90,9 +92,14 @@ def select_scenes(
     (``scene-0001-suffix``). 2. nuScenes' official lists, of the scenes that are here. 3. ``val``, of all scenes, where
     no official list names any.
 
-    A split that does not exist raises `NoSuchSplitError`, a scene in ``splits.json`` that is not here `InputError`.
-    ``where`` names the data set in messages.
+    A split that does not exist raises `NoSuchSplitError`, a scene in ``splits.json`` that is not here `InputError`, and
+    so does any split of a root of `BORROWED_NAMES`. ``where`` names the data set in messages.
     """
+    if built_as == BORROWED_NAMES:
+        raise InputError(
+            f"{where} was written by data export nuscenes: its scenes only have names of nuScenes' validation scenes, "
+            "and are none of them; choose the data set that it was exported from"
+        )
     if split in custom and not custom[split]:
         raise InputError(f"{where}: split {split!r} of splits.json is empty; correct it, or choose another split")
     if split in custom:

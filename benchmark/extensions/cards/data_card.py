@@ -10,6 +10,7 @@ import numpy as np
 
 from benchmark.constants import VERSION
 from benchmark.datasets.scene_facts import find_frozen_split
+from benchmark.datasets.split_names import BORROWED_NAMES
 from benchmark.errors import InputError
 from benchmark.extensions.cards.croissant import (
     UNKNOWN,
@@ -143,7 +144,8 @@ _SHORT_HASH: Final = 12
 class _DataProvenance:
     """Origin of a data set, in sentences; `kinds` are collection types of the responsible-AI extension.
 
-    `town` is this project's procedural one; `generated` has vehicles made to be adversaries.
+    `town` is this project's procedural one; `generated` has vehicles made to be adversaries; `borrowed` are names of
+    nuScenes' own scenes, of which no command evaluates any.
     """
 
     collected: str
@@ -151,6 +153,7 @@ class _DataProvenance:
     kinds: tuple[str, ...]
     town: bool
     generated: bool
+    borrowed: bool
 
 
 def write_data_card(
@@ -187,12 +190,20 @@ def _find_provenance(
     provenance: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], embedded: bool
 ) -> _DataProvenance:
     source, renderer = provenance.get("source"), provenance.get("renderer")
-    generated = any(row["adversaries"] for row in rows) or any(row["scene"] != row["source_scene"] for row in rows)
+    borrowed = provenance.get("split") == BORROWED_NAMES
+    generated = any(row["adversaries"] for row in rows) or (
+        not borrowed and any(row["scene"] != row["source_scene"] for row in rows)
+    )
     if embedded:
         collected = "A procedural town made from a seed by challenger-bench: no recordings, no people, no real places."
     elif isinstance(source, dict):
-        print_of = str(source.get("fingerprint"))[:_SHORT_HASH]
-        collected = f"Made from the recordings {str(source.get('name'))[:80]} (content {print_of}) by challenger-bench."
+        made_from = f"{str(source.get('name'))[:80]} (content {str(source.get('fingerprint'))[:_SHORT_HASH]})"
+        collected = f"Made from the recordings {made_from} by challenger-bench."
+        if borrowed:
+            collected = (
+                f"An export of {made_from} by challenger-bench for readers that know only nuScenes' own scenes: each "
+                "has the name of a nuScenes validation scene and is not that scene."
+            )
     else:
         collected = "Recordings in nuScenes format; the data set does not state how they were collected."
     frozen = find_frozen_split(provenance)
@@ -208,7 +219,7 @@ def _find_provenance(
     )
     simulated = ("Software Collection",) if embedded or generated or drawn is not None else ()
     recorded = () if embedded else ("Secondary Data Analysis",)
-    return _DataProvenance(collected, pictures, (*simulated, *recorded), embedded, generated)
+    return _DataProvenance(collected, pictures, (*simulated, *recorded), embedded, generated, borrowed)
 
 
 def _describe_data_set(
@@ -337,8 +348,10 @@ def _format_page(
     for name in ("dataUseCases", "dataLimitations", "dataBiases", "personalSensitiveInformation"):
         answer = description.responsible[name]
         lines += [f"- {escape_markdown(text)}" for text in ((answer,) if isinstance(answer, str) else answer)]
-    lines += ["", "## Evaluate a planner on it", "", "With challenger-bench installed:", "", "```"]
-    lines += ["challenger-bench eval --data FOLDER --split SPLIT --model my_planner:MyPlanner", "```", ""]
+    lines.append("")
+    if not origin.borrowed:
+        lines += ["## Evaluate a planner on it", "", "With challenger-bench installed:", "", "```"]
+        lines += ["challenger-bench eval --data FOLDER --split SPLIT --model my_planner:MyPlanner", "```", ""]
     return [*lines, *format_footer()]
 
 

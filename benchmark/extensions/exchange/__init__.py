@@ -1,1 +1,1 @@
-"""Scenes in the file formats of other simulators: ScenarioNet both ways, OpenSCENARIO out."""
+"""Scenes for the code of others: ScenarioNet both ways, OpenSCENARIO, and nuScenes under its own validation names."""

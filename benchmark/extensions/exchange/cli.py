@@ -1,6 +1,6 @@
-"""Commands that write scenes for others: ``data export scenarionet|openscenario``."""
+"""Commands that write scenes for others: ``data export scenarionet|openscenario|nuscenes``."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportOptions:
-    """Options of ``data export scenarionet`` and ``data export openscenario``."""
+    """Options of ``data export scenarionet``, ``openscenario`` and ``nuscenes``."""
 
     root: shared.Root
-    to: Annotated[Path, Option("Folder for the files, one a scene.", "Output")]
+    to: Annotated[Path, Option("Folder to write to.", "Output")]
     split: Annotated[str | None, Option("Only this split; all scenes if not given.", "Input")] = None
     scenes: shared.Scenes = None
     limit: shared.Limit = None
@@ -57,6 +57,26 @@ def export_openscenario_command(options: ExportOptions) -> None:
     dataset, names = _scenes_to_export(options)
     files = export_openscenario(dataset, names, options.to, workers=api.worker_count(options.workers))
     _print_exported(files, options.to, options.json_output)
+
+
+@command(ExportOptions)
+def export_nuscenes_command(options: ExportOptions) -> None:
+    """Write a root under names of nuScenes' validation scenes, for readers that know no others; at most 150 scenes."""
+    from benchmark.extensions.exchange.borrowed_names import NAMES_FILE, export_nuscenes
+
+    dataset, names = _scenes_to_export(options)
+    roots = export_nuscenes(dataset, names, options.to)
+    if options.json_output:
+        print_json({"roots": [asdict(root) | {"folder": str(root.folder)} for root in roots]})
+        return
+    for root in roots:
+        typer.echo(
+            f"{pluralise(len(root.names), 'scene')} in {root.folder}, called as nuScenes' validation scenes are "
+            f"({NAMES_FILE} says which is which); no command here evaluates that root"
+        )
+        if root.cities_without_lanes:
+            cities = ", ".join(root.cities_without_lanes)
+            typer.echo(f"warning: there are no lanes in the map of {cities}, on which readers of maps may fail")
 
 
 def _scenes_to_export(options: ExportOptions) -> "tuple[DataSet, tuple[str, ...]]":

@@ -201,6 +201,7 @@ _OF_EXTENSIONS: dict[str, tuple[tuple[str, str], ...]] = {
         (f"data export scenarionet {{new}} --to {{new}}/to {_OUT}", "there is no folder"),
         (f"data export scenarionet mini --scenes scene-1 --to {{new}}/to {_OUT}", "scene-1"),
         (f"data export scenarionet mini --split vla --to {{new}}/to {_OUT}", "it has val, val-r, adv"),
+        (f"data export nuscenes mini --to {{file}} {_OUT}", "is a file"),
     ),
     "generation.extensions.magicdrive": (
         (f"generate --renderer magicdrive {_OUT}", "weights"),

@@ -10,7 +10,7 @@ from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.roots import open_data
 from benchmark.datasets.schema import Fault
 from benchmark.datasets.schema.check import check_tables
-from benchmark.datasets.split_names import select_scenes
+from benchmark.datasets.split_names import BORROWED_NAMES, select_scenes
 from benchmark.errors import InputError
 from tests.benchmark.datasets.hostile_tables import HOSTILE_ROOTS, HostileRoot
 from tests.benchmark.datasets.nuscenes_tables import VERSION, TinyRoot
@@ -184,6 +184,9 @@ def test_split_rules() -> None:
     mini = ["scene-0061", "scene-0103", "scene-0553", "scene-0916"]
     assert splits("val", ["b", "a"], {"val": ["b"]}) == ("b",)
     assert splits("val", ["b", "a"]) == ("a", "b")
+    for split in ("val", "mini_val", "borrowed-names", "mine"):
+        with pytest.raises(InputError, match="are none of them; choose the data set that it was exported from"):
+            splits(split, mini, {"mine": mini, "val": mini}, BORROWED_NAMES)
     assert splits("val", mini) == ("scene-0103", "scene-0553", "scene-0916")
     assert splits("mini_val", mini) == ("scene-0103", "scene-0916")
     assert splits("train", mini) == ("scene-0061",)

@@ -11,6 +11,7 @@ import pytest
 
 from benchmark.constants import VERSION
 from benchmark.datasets.scene_facts import build_scene_facts
+from benchmark.datasets.split_names import BORROWED_NAMES
 from benchmark.errors import InputError
 from benchmark.extensions.cards.croissant import IndexColumn
 from benchmark.extensions.cards.data_card import SCENE_COLUMNS, scene_rows, write_data_card
@@ -149,6 +150,22 @@ def test_the_town_is_free_recordings_are_not_and_the_same_bytes_come_twice(tmp_p
     write_data_card(data, tmp_path / "recorded")
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
     assert not any(str(Path.cwd()).encode() in content or b"/home" in content for content in before.values())
+
+
+@pytest.mark.usefixtures("without_parquet")
+def test_borrowed_names_are_said_to_be_so(tmp_path: Path) -> None:
+    class Exported(FakeData):
+        def scene_facts(self, names: Sequence[str]) -> dict[str, SceneFacts]:
+            return {name: build_scene_facts(name, {"source_scene": "scene-0061", "adversaries": []}) for name in names}
+
+        def provenance(self) -> dict[str, Any]:
+            return {"split": BORROWED_NAMES, "source": {"name": "town", "fingerprint": "f" * 64}, "scenes": {}}
+
+    write_data_card(Exported(town_of_two().scenes), tmp_path)
+    page = (tmp_path / "README.md").read_text()
+    assert "An export of town (content ffffffffffff)" in page and "is not that scene" in page
+    # Recordings under other names are recordings, and no command takes the root.
+    assert "worst cases" not in page and "Evaluate a planner on it" not in page
 
 
 @pytest.mark.usefixtures("without_parquet")
