@@ -12,7 +12,7 @@ from leaderboard.tables.collision import run_tables
 from tests.benchmark.cli.cli_runs import Run, bytes_below, run_main
 from tests.benchmark.cli.small_path import SMALL
 
-SEARCH = ("--preset", "near", "--candidates", "32", "--rounds", "2", "--vehicles", "2")
+SEARCH = ("--preset", "near", "--candidates", "32", "--rounds", "2", "--vehicles", "4")
 PLANNERS = ("constant-velocity", "log-replay")
 
 
