@@ -19,6 +19,7 @@ from benchmark.datasets.scene_assessments import (
     read_assessments,
     read_assessments_file,
 )
+from benchmark.datasets.scene_names import PROVENANCE, read_scene_times
 from benchmark.datasets.tables import find_variant_folders
 from benchmark.errors import InputError
 from benchmark.fairness.scene_assessment import AdversaryProvenance, assess_scene
@@ -30,7 +31,7 @@ from benchmark.records.scene_pages import KEPT_ROUNDS_FOLDER, RefinementTrace, k
 from benchmark.runs.units import ResultStore, run_units
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, finish_data_set
-from generation.nuscenes_writer.finish import PROVENANCE
+from generation.nuscenes_writer.numbering import SceneNumber, number_scenes
 from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.nuscenes_writer.scenes import WrittenScene, read_state, read_stored_fragment, write_scene_if_missing
 
@@ -42,7 +43,8 @@ class WritingJob:
     ``variant`` numbers its root in the ``per-variant`` layout and is part of its tokens in any. ``make`` turns the
     recorded scene into what is written and goes to workers by pickle. ``last_attempt`` is the content key of the
     attempt that made its last adversary, with that one's place; ``identity`` the source of its tokens, if not its
-    motion; ``tracks`` how its adversaries were made, if it is to be judged where it is written.
+    motion; ``tracks`` how its adversaries were made, if it is to be judged where it is written; ``number`` its name and
+    times in the tables, if not its own.
     """
 
     name: str
@@ -55,10 +57,24 @@ class WritingJob:
     identity: str | None = None
     judgements: tuple[SceneAssessment, ...] = ()
     tracks: AdversaryProvenance | None = None
+    number: SceneNumber | None = None
 
     def name_in_data_set(self, plan: DataSetPlan) -> str:
         """Name by which `benchmark.datasets.roots.open_data` knows the scene."""
         return f"v{self.variant}/{self.written_as}" if plan.layout == "per-variant" else self.written_as
+
+
+def number_jobs(plan: DataSetPlan, jobs: Sequence[WritingJob], source: DataSet) -> list[WritingJob]:
+    """Jobs of all generated scenes of a root with their numbers, which their order and executor do not change.
+
+    Roots that have one variant of each recording keep its name and times.
+    """
+    if plan.layout == "per-variant" or not jobs:
+        return list(jobs)
+    recorded = read_scene_times(source.root, source.version)
+    times = {job.written_as: recorded[job.source_scene] for job in jobs}
+    numbers = number_scenes(times, {job.source_scene for job in jobs})
+    return [replace(job, number=numbers[job.written_as]) for job in jobs]
 
 
 def write_scenes(
@@ -100,6 +116,7 @@ def _write_one(plan: DataSetPlan, timing: Path, shipped: tuple[Scene, WritingJob
         report=job.report,
         variant=job.variant,
         identity=job.identity,
+        number=job.number,
     )
     if job.tracks is not None:
         _assess_scene(plan, written.key, scene, job.tracks)

@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple, Self
 import numpy as np
 
 from benchmark.constants import COMMAND_LATERAL_M, EGO_LENGTH_M, EGO_WHEELBASE_M, EGO_WIDTH_M, PLAN_STEP_S, PLAN_STEPS
+from benchmark.datasets.scene_names import find_can_bus_file
 from benchmark.datasets.schema.sidecar_files import CAN_BUS, CAN_BUS_POSE, require_records
 from benchmark.errors import InputError
 from benchmark.extensions.infos.frames import SensorFrame, compute_roll
@@ -57,7 +58,7 @@ class ConverterCanMessages:
         kinds = {**CAN_BUS, "pose": {**CAN_BUS["pose"], **CAN_BUS_POSE}}
         message_lists = []
         for kind in ("pose", "steeranglefeedback"):
-            path = root / "can_bus" / f"{scene}_{kind}.json"
+            path = find_can_bus_file(root, scene, kind)
             messages = read_json(path) if path.is_file() else []
             message_lists.append(require_records(path, "message", messages, kinds[kind]))
         return cls(*message_lists)
