@@ -106,10 +106,15 @@ def find_shift_us(made: Mapping[str, Any] | None, name: str) -> int:
     return shift if type(shift) is int else 0
 
 
+def find_table_name_below(root: Path, name: str) -> str:
+    """`find_table_name` of a root that is not opened."""
+    rows = (find_table_name(root / version, name) for version in find_version_folders(root))
+    return next((row for row in rows if row != name), name)
+
+
 def find_can_bus_file(root: Path, scene: str, message: str) -> Path:
     """Path of a scene's messages of one kind, whether they are there or not."""
-    named = (find_table_name(root / version, scene) for version in find_version_folders(root))
-    return root / "can_bus" / f"{next((row for row in named if row != scene), scene)}_{message}.json"
+    return root / "can_bus" / f"{find_table_name_below(root, scene)}_{message}.json"
 
 
 def read_scene_times(root: Path, version: str) -> dict[str, tuple[int, int]]:
