@@ -54,13 +54,13 @@ def build_can_bus_files(
 
 def _read_shifted(path: Path, shift_us: int) -> bytes:
     """A recorded file, or the same with its messages later; keys keep their order, which converters go by."""
-    if not shift_us:
-        return path.read_bytes()
-    content = read_json(path)
-    for message in content if isinstance(content, list) else ():
-        if isinstance(message, dict) and type(message.get("utime")) is int:
-            message["utime"] += shift_us
-    return (json.dumps(content) + "\n").encode()
+    data = path.read_bytes()
+    content = read_json(path) if shift_us else None
+    messages = content if isinstance(content, list) else []
+    timed = [message for message in messages if isinstance(message, dict) and type(message.get("utime")) is int]
+    for message in timed:
+        message["utime"] += shift_us
+    return (json.dumps(content, separators=(",", ":")) + "\n").encode() if timed else data
 
 
 @dataclass(frozen=True, slots=True)
