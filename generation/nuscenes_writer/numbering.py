@@ -30,10 +30,10 @@ def number_scenes(times: Mapping[str, tuple[int, int]], taken: Collection[str] =
         taken: Names that are not given, such as those of the recordings.
 
     Returns:
-        Numbers by name; the shifts are `compute_shifts_us`. More scenes than numbers keep their own names.
+        Numbers by name; the shifts are `compute_shifts_us`. None where there are more scenes than numbers.
     """
     shifts = compute_shifts_us([(name, first, last) for name, (first, last) in times.items()])
     free = [name for name in (f"scene-{number}" for number in _NUMBERS) if name not in taken]
-    ordered = sorted(times)
-    given = free if len(ordered) <= len(free) else ordered
-    return {name: SceneNumber(row, shifts.get(name, 0)) for name, row in zip(ordered, given)}
+    if len(times) > len(free):
+        return {}
+    return {name: SceneNumber(row, shifts.get(name, 0)) for name, row in zip(sorted(times), free)}

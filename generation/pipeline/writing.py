@@ -4,6 +4,7 @@ import functools
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -67,14 +68,21 @@ class WritingJob:
 def number_jobs(plan: DataSetPlan, jobs: Sequence[WritingJob], source: DataSet) -> list[WritingJob]:
     """Jobs of all generated scenes of a root with their numbers, which their order and executor do not change.
 
-    Roots that have one variant of each recording keep its name and times.
+    Roots that have one variant of each recording keep its name and times, and roots of earlier versions those that they
+    have, to which records refer.
     """
-    if plan.layout == "per-variant" or not jobs:
+    if plan.layout == "per-variant" or not jobs or _is_unnumbered(plan, jobs):
         return list(jobs)
     recorded = read_scene_times(source.root, source.version)
     times = {job.written_as: recorded[job.source_scene] for job in jobs}
     numbers = number_scenes(times, {job.source_scene for job in jobs})
-    return [replace(job, number=numbers[job.written_as]) for job in jobs]
+    return [replace(job, number=numbers.get(job.written_as)) for job in jobs]
+
+
+def _is_unnumbered(plan: DataSetPlan, jobs: Sequence[WritingJob]) -> bool:
+    """Whether scenes of these are written under their own names."""
+    claims = filter(None, (read_state(plan.claim_path(job.variant, job.written_as)) for job in jobs))
+    return any(path.startswith(f"can_bus/{claim['name']}_") for claim in islice(claims, 1) for path in claim["files"])
 
 
 def write_scenes(

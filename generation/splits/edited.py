@@ -84,7 +84,7 @@ def build_edited_split(source: DataSet, path: Path, edited: EditedScenes | None 
         times[frozen.name] = int(recorded.timestamps_us[0]), int(recorded.timestamps_us[-1])
     numbers = number_scenes(times, {frozen.source for frozen in scenes.values()})
     for name, unnumbered in scenes.items():
-        frozen = add_number(unnumbered, numbers[name])
+        frozen = add_number(unnumbered, numbers.get(name))
         changed = add_frozen_adversaries(frozen, source.scene(frozen.source))
         scenes[name] = frozen.model_copy(update={"tables": compute_tables_digest(plan, changed, frozen)})
     split = FrozenSplit(
