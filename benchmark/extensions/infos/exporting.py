@@ -13,8 +13,8 @@ import shapely
 
 from benchmark.constants import OFFICIAL_LOCATIONS
 from benchmark.datasets.map_layers import find_expansion_file, make_empty_expansion, read_road_map
-from benchmark.datasets.schema import FaultList, StrictFaultList
 from benchmark.datasets.scene_names import find_table_name_below, is_devkit_name
+from benchmark.datasets.schema import FaultList, StrictFaultList
 from benchmark.datasets.split_names import compute_shifts_us, find_default_split, read_splits, select_scenes
 from benchmark.datasets.tables import find_variant_folders, find_version
 from benchmark.errors import InputError
