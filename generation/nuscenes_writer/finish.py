@@ -14,7 +14,7 @@ from benchmark.machine.storage import canonical_json, write_bytes, write_json, w
 from benchmark.records.attempts import SEARCH
 from generation.nuscenes_writer.maps import write_maps
 from generation.nuscenes_writer.plan import DataSetPlan, require_own_root
-from generation.nuscenes_writer.scenes import NUMBER, read_state, read_stored_fragment, release_claim
+from generation.nuscenes_writer.scenes import NUMBER, place_file, read_state, read_stored_fragment, release_claim
 from generation.nuscenes_writer.vocabulary import LabelVocabulary, Row, build_sensor_rows
 
 PROVENANCE_SCHEMA: Final = 1
@@ -113,7 +113,9 @@ def _remove_stale(plan: DataSetPlan, roots: Mapping[int, Sequence[Fragment]]) ->
     """Remove scenes that are no longer part of the data set, and roots that have none left."""
     current_keys = {fragment["key"] for members in roots.values() for fragment in members}
     used = {
-        plan.data_root(variant): frozenset(path for fragment in members for path in fragment["files"])
+        plan.data_root(variant): frozenset(
+            name for fragment in members for path in fragment["files"] for name in (path, place_file(fragment, path))
+        )
         for variant, members in roots.items()
     }
     for path, claim in _read_claims(plan).items():
@@ -154,6 +156,7 @@ def _write_root(
     members: Sequence[Fragment],
     splits: Mapping[str, Sequence[str]],
 ) -> None:
+    _place_files(root, members)
     logs, maps = write_maps(plan, root, vocabulary, members)
     shared: dict[str, list[Row]] = {
         "sensor": build_sensor_rows(),
@@ -173,6 +176,16 @@ def _write_root(
     rows = {fragment["name"]: _find_row_name(fragment) for fragment in members}
     present = {split: [rows[name] for name in names if name in rows] for split, names in splits.items()}
     write_json(folder / "splits.json", present)
+
+
+def _place_files(root: Path, members: Sequence[Fragment]) -> None:
+    """Give files the names that they have in a finished root."""
+    for fragment in members:
+        for path in fragment["files"]:
+            place = root / place_file(fragment, path)
+            if place != root / path and (root / path).is_file():
+                with writing_to(place):
+                    (root / path).replace(place)
 
 
 def _find_row_name(fragment: Fragment) -> str:

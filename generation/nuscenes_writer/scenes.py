@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 from benchmark.constants import LIDAR_NAME
 from benchmark.errors import InputError
 from benchmark.machine.progress import CountedUnits, track_progress
-from benchmark.machine.storage import canonical_json, content_key, read_cached_json, write_bytes, write_json, writing_to
+from benchmark.machine.storage import (
+    canonical_json,
+    content_key,
+    read_cached_json,
+    read_json,
+    write_bytes,
+    write_json,
+    writing_to,
+)
 from benchmark.road_map import RoadMap
 from benchmark.scene import Camera, Scene
 from generation.nuscenes_writer.can_bus import build_can_bus_files
@@ -99,12 +107,11 @@ def write_scene_if_missing(
     channels = build_channels(cameras, tracks)
     vocabulary = LabelVocabulary.of(plan.source)
     tables = build_scene_tables(names, vocabulary, timed, channels, frames)
-    messages = build_can_bus_files(
-        timed, name=names.row, source=plan.source, source_scene=source_scene, shift_us=shift_us
-    )
+    messages = build_can_bus_files(timed, name=name, source=plan.source, source_scene=source_scene, shift_us=shift_us)
     sensor_files = _list_sensor_files(plan, tables["sample_data"])
     existing_pictures = _keep_pictures(plan, key, variant, name, sensor_files)
-    claim_files(plan, key, variant, name, [*sensor_files, *messages])
+    placed = (_place(path, name, names.row) for path in messages)
+    claim_files(plan, key, variant, name, {*sensor_files, *messages, *placed})
     root = plan.data_root(variant)
     for path, data in messages.items():
         write_bytes(root / path, data, durable=False)
@@ -149,8 +156,25 @@ def _read_claimed_fragment(plan: DataSetPlan, key: str, *, variant: int, name: s
 
 def _find_whole_files(root: Path, fragment: dict[str, Any]) -> frozenset[str]:
     """Which files of a fragment are there, in the size they were written."""
-    sizes = fragment["files"].items()
-    return frozenset(path for path, size in sizes if (root / path).is_file() and (root / path).stat().st_size == size)
+    whole = set()
+    for path, size in fragment["files"].items():
+        places = (root / path, root / place_file(fragment, path))
+        if any(place.is_file() and place.stat().st_size == size for place in places):
+            whole.add(path)
+    return frozenset(whole)
+
+
+def place_file(fragment: dict[str, Any], path: str) -> str:
+    """Where a file of a written scene is in the finished root: the CAN bus under the scene's name in the tables.
+
+    Numbers change hands between scenes; until a root is finished, all files have names that are of one scene alone.
+    """
+    return _place(path, fragment["name"], fragment.get(NUMBER, fragment)["name"])
+
+
+def _place(path: str, name: str, row: str) -> str:
+    own = f"can_bus/{name}_"
+    return f"can_bus/{row}_{path.removeprefix(own)}" if path.startswith(own) else path
 
 
 def _keep_pictures(plan: DataSetPlan, key: str, variant: int, name: str, files: Sequence[str]) -> frozenset[str]:
@@ -169,8 +193,9 @@ def _keep_pictures(plan: DataSetPlan, key: str, variant: int, name: str, files: 
     # Where times overlap, a new name may be the old one of another frame.
     if set(before) & set(files):
         return frozenset()
-    claim = plan.claim_path(variant, name)
-    write_json(claim, {**read_cached_json(claim), "files": sorted({*fragment["files"], *files})}, indent=None)
+    path = plan.claim_path(variant, name)
+    claim = read_json(path)
+    write_json(path, {**claim, "files": sorted({*claim["files"], *files})}, indent=None)
     kept = set()
     for old, new in zip(before, files, strict=True):
         size = fragment["files"].get(old)

@@ -82,7 +82,10 @@ def number_jobs(plan: DataSetPlan, jobs: Sequence[WritingJob], source: DataSet) 
 def _is_unnumbered(plan: DataSetPlan, jobs: Sequence[WritingJob]) -> bool:
     """Whether scenes of these are written under their own names."""
     claims = filter(None, (read_state(plan.claim_path(job.variant, job.written_as)) for job in jobs))
-    return any(path.startswith(f"can_bus/{claim['name']}_") for claim in islice(claims, 1) for path in claim["files"])
+    return any(
+        all(path.startswith(f"can_bus/{claim['name']}_") for path in claim["files"] if path.startswith("can_bus/"))
+        for claim in islice(claims, 1)
+    )
 
 
 def write_scenes(

@@ -64,7 +64,7 @@ def check_tutorial(tables: CheckedTables, faults: FaultList) -> None:
     if together:
         sentence = (
             f"{pluralise(sum(map(len, together)), 'scene')} begin at the same time as another, such as "
-            f"{' and '.join(sorted(together[0])[:2])}: the devkit's list_scenes() ends in a TypeError; scenes generated "
+            f"{' and '.join(sorted(together[0])[:2])}: the devkit's list_scenes() ends in a TypeError; scenes made "
             "anew into another folder have times of their own"
         )
         faults.add("scenes that begin together", "scene", "", sentence, severity="warning")
