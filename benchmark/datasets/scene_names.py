@@ -74,12 +74,12 @@ def _list_entries(made: Any) -> dict[str, dict[str, Any]]:
 
 
 def rename_scenes(made: Mapping[str, Any]) -> dict[str, Any]:
-    """Sound ``challenger.json`` with its scenes under their names; each keeps the one that it has in the tables."""
+    """Sound ``challenger.json`` with its scenes under their names; each says the one that it has in the tables."""
     names = find_names(made)
-    scenes = {
-        names.get(row, row): {**entry, _NUMBERED: row} if row in names else entry
-        for row, entry in made["scenes"].items()
-    }
+    scenes = dict(made["scenes"])
+    for row, name in names.items():
+        entry = scenes.pop(row)
+        scenes[name] = {key: value for key, value in entry.items() if key != NAME} | {_NUMBERED: row}
     return {**made, "scenes": scenes}
 
 

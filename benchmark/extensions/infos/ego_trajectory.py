@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple, Self
 import numpy as np
 
 from benchmark.constants import COMMAND_LATERAL_M, EGO_LENGTH_M, EGO_WHEELBASE_M, EGO_WIDTH_M, PLAN_STEP_S, PLAN_STEPS
-from benchmark.datasets.scene_names import find_table_name_below, is_devkit_name
+from benchmark.datasets.scene_names import find_table_name_below
 from benchmark.datasets.schema.sidecar_files import CAN_BUS, CAN_BUS_POSE, require_records
 from benchmark.errors import InputError
 from benchmark.extensions.infos.frames import SensorFrame, compute_roll
@@ -18,6 +18,8 @@ from benchmark.geometry import Floats
 from benchmark.machine.storage import read_json
 from benchmark.untrusted.files import to_one_line
 
+OFFICIAL_NAME: Final = re.compile(r"scene-\d\d\d\d")
+"""Names of scenes that the devkit's reader takes."""
 _NUMBERED: Final = re.compile(r"scene-(\d{4})(?!\d)")
 _WITHOUT: Final = frozenset({*range(161, 169), *range(170, 177), *range(309, 315)})
 """Numbers of scenes whose messages the devkit does not hand out."""
@@ -52,7 +54,7 @@ class ConverterCanMessages:
         scene = find_table_name_below(root, scene)
         number = _NUMBERED.match(scene)
         hidden = number is not None and int(number[1]) in _WITHOUT
-        if hidden or (as_converted and not is_devkit_name(scene)):
+        if hidden or (as_converted and not OFFICIAL_NAME.fullmatch(scene)):
             return cls((), ())
         kinds = {**CAN_BUS, "pose": {**CAN_BUS["pose"], **CAN_BUS_POSE}}
         message_lists = []

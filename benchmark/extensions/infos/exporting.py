@@ -13,14 +13,14 @@ import shapely
 
 from benchmark.constants import OFFICIAL_LOCATIONS
 from benchmark.datasets.map_layers import find_expansion_file, make_empty_expansion, read_road_map
-from benchmark.datasets.scene_names import find_table_name_below, is_devkit_name
+from benchmark.datasets.scene_names import find_table_name_below
 from benchmark.datasets.schema import FaultList, StrictFaultList
 from benchmark.datasets.split_names import compute_shifts_us, find_default_split, read_splits, select_scenes
 from benchmark.datasets.tables import find_variant_folders, find_version
 from benchmark.errors import InputError
 from benchmark.extensions.infos import repairs
 from benchmark.extensions.infos.boxes import SceneBoxes
-from benchmark.extensions.infos.ego_trajectory import ConverterCanMessages, EgoTrajectory
+from benchmark.extensions.infos.ego_trajectory import OFFICIAL_NAME, ConverterCanMessages, EgoTrajectory
 from benchmark.extensions.infos.map_lines import MapLines
 from benchmark.extensions.infos.repositories import (
     TEST,
@@ -342,8 +342,8 @@ class _RepairingInfoConverter(_InfoConverter):
             repairs.describe_paths(self.prefix),
             *repairs.describe_scene_choice(split, training & set(names), others),
         ]
-        rows = {name: find_table_name_below(self.root, name) for name in names}
-        refused = {name for name in names if not is_devkit_name(rows[name])} - set(self._seen.without_can_bus)
+        refused = {name for name in names if not OFFICIAL_NAME.fullmatch(find_table_name_below(self.root, name))}
+        refused -= set(self._seen.without_can_bus)
         if refused:
             differences.append(repairs.describe_can_bus_names(self.reader, refused))
         if shifts:
