@@ -4,7 +4,6 @@ import functools
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,12 +19,12 @@ from benchmark.datasets.scene_assessments import (
     read_assessments,
     read_assessments_file,
 )
-from benchmark.datasets.scene_names import PROVENANCE, read_scene_times
+from benchmark.datasets.scene_names import PROVENANCE, find_names, read_scene_times
 from benchmark.datasets.tables import find_variant_folders
 from benchmark.errors import InputError
 from benchmark.fairness.scene_assessment import AdversaryProvenance, assess_scene
 from benchmark.fairness.split_assessment import measure_split_realism
-from benchmark.machine.storage import canonical_json, content_key, read_json, write_bytes, writing_to
+from benchmark.machine.storage import canonical_json, content_key, read_cached_json, read_json, write_bytes, writing_to
 from benchmark.machine.workers import Executor
 from benchmark.records.scene_assessment import DEFINITION, SceneAssessment
 from benchmark.records.scene_pages import KEPT_ROUNDS_FOLDER, RefinementTrace, kept_rounds_path
@@ -71,7 +70,7 @@ def number_jobs(plan: DataSetPlan, jobs: Sequence[WritingJob], source: DataSet) 
     Roots that have one variant of each recording keep its name and times, and roots of earlier versions those that they
     have, to which records refer.
     """
-    if plan.layout == "per-variant" or not jobs or _is_unnumbered(plan, jobs):
+    if plan.layout == "per-variant" or not jobs or _is_unnumbered(plan):
         return list(jobs)
     recorded = read_scene_times(source.root, source.version)
     times = {job.written_as: recorded[job.source_scene] for job in jobs}
@@ -79,13 +78,10 @@ def number_jobs(plan: DataSetPlan, jobs: Sequence[WritingJob], source: DataSet) 
     return [replace(job, number=numbers.get(job.written_as)) for job in jobs]
 
 
-def _is_unnumbered(plan: DataSetPlan, jobs: Sequence[WritingJob]) -> bool:
-    """Whether scenes of these are written under their own names."""
-    claims = filter(None, (read_state(plan.claim_path(job.variant, job.written_as)) for job in jobs))
-    return any(
-        all(path.startswith(f"can_bus/{claim['name']}_") for path in claim["files"] if path.startswith("can_bus/"))
-        for claim in islice(claims, 1)
-    )
+def _is_unnumbered(plan: DataSetPlan) -> bool:
+    """Whether a root is finished and its scenes have their own names in the tables."""
+    made = read_cached_json(plan.root / plan.version / PROVENANCE)
+    return isinstance(made, dict) and bool(made.get("scenes")) and not find_names(made)
 
 
 def write_scenes(
