@@ -94,7 +94,7 @@ class DataSource:
         """Refuse an unknown data set, or scenes that are not in it; as `require_split` for any split."""
         if self._is_mini:
             return _preview_embedded("val", self.out, scenes, None)
-        return SourcePreview(_choose_scenes(self._listed(None), None, self._named(scenes), None))
+        return SourcePreview(_choose_scenes(self._listed(None), None, self.name_scenes(scenes), None))
 
     def require_source(
         self, split: str, scenes: Sequence[str] | None = None, limit: int | None = None
@@ -104,7 +104,7 @@ class DataSource:
             if split != "val":
                 raise InputError(f"the embedded data set mini has no split {split!r}; its only split is val")
             return _preview_embedded("val", self.out, scenes, limit)
-        of_split, scenes = self._listed(split), self._named(scenes)
+        of_split, scenes = self._listed(split), self.name_scenes(scenes)
         return SourcePreview(_choose_scenes(of_split if scenes is None else self._listed(None), split, scenes, limit))
 
     def require_split(self, split: str, scenes: Sequence[str] | None = None, limit: int | None = None) -> SourcePreview:
@@ -178,11 +178,12 @@ class DataSource:
 
         return workspace(self.out).demonstrated("val") if self.data == DEMONSTRATED else Path(self.data)
 
-    def _named(self, scenes: Sequence[str] | None) -> tuple[str, ...] | None:
-        """Scenes by their names, given by these or by those in the tables."""
+    def name_scenes(self, scenes: Sequence[str] | None, split: str | None = None) -> tuple[str, ...] | None:
+        """Scenes by their names, given by these or by those in the tables, of a generated split if it is built."""
         from benchmark.datasets.scene_names import resolve_names_below
 
-        return resolve_names_below(self._root, scenes)
+        named = resolve_names_below(self._root, scenes)
+        return named if split is None else resolve_names_below(workspace(self.out).split_root(self.name, split), named)
 
     def _listed(self, split: str | None) -> tuple[str, ...]:
         """Names of scenes as the tables have them, without opening the data set."""

@@ -95,8 +95,9 @@ def resolve_names(made: Mapping[str, Any] | None, wanted: Sequence[str]) -> tupl
 
 
 def resolve_names_below(root: Path, wanted: Sequence[str] | None) -> tuple[str, ...] | None:
-    """`resolve_names` of a root that is not opened; ``None`` stays."""
-    known = {row: name for version in find_version_folders(root) for row, name in read_names(root / version).items()}
+    """`resolve_names` of a root that is not opened, if it is there; ``None`` stays."""
+    versions = find_version_folders(root) if wanted and root.is_dir() else ()
+    known = {row: name for version in versions for row, name in read_names(root / version).items()}
     return None if wanted is None else tuple(known.get(name, name) for name in wanted)
 
 
