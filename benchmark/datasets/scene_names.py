@@ -14,6 +14,7 @@ from typing import Any, Final
 from benchmark.datasets.stored_rows import iterate_rows
 from benchmark.datasets.tables import find_variant_folders, find_version_folders
 from benchmark.machine.storage import read_cached_json
+from benchmark.untrusted.files import to_one_line
 
 PROVENANCE: Final = "challenger.json"
 NAME: Final = "name"
@@ -59,13 +60,13 @@ def find_name_fault(made: Any) -> str:
     entries = _list_entries(made)
     for row, entry in entries.items():
         if NAME in entry and not (isinstance(entry[NAME], str) and _PLAIN.fullmatch(entry[NAME])):
-            return f"the name of {row} must be letters, digits, dots, dashes and underscores"
+            return f"the name of {to_one_line(row, 80)} must be letters, digits, dots, dashes and underscores"
         if type(entry.get(SHIFT_US, 0)) is not int:
-            return f"the {SHIFT_US} of {row} must be whole microseconds"
+            return f"the {SHIFT_US} of {to_one_line(row, 80)} must be whole microseconds"
     names = find_names(made)
     called = [names.get(row, row) for row in entries]
     twice = next((name for name in called if called.count(name) > 1), None) if len(set(called)) < len(called) else None
-    return "" if twice is None else f"two scenes have the name {twice}"
+    return "" if twice is None else f"two scenes have the name {to_one_line(twice, 80)}"
 
 
 def _list_entries(made: Any) -> dict[str, dict[str, Any]]:
@@ -76,10 +77,12 @@ def _list_entries(made: Any) -> dict[str, dict[str, Any]]:
 def rename_scenes(made: Mapping[str, Any]) -> dict[str, Any]:
     """Sound ``challenger.json`` with its scenes under their names; each says the one that it has in the tables."""
     names = find_names(made)
-    scenes = dict(made["scenes"])
-    for row, name in names.items():
-        entry = scenes.pop(row)
-        scenes[name] = {key: value for key, value in entry.items() if key != NAME} | {_NUMBERED: row}
+    scenes = {
+        names.get(row, row): {**entry, _NUMBERED: row} if row in names else entry
+        for row, entry in made["scenes"].items()
+    }
+    for name in names.values():
+        del scenes[name][NAME]
     return {**made, "scenes": scenes}
 
 
