@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, cast
 from benchmark.datasets.annotated_objects import require_annotated
 from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.scene_facts import add_truth_facts
+from benchmark.datasets.scene_names import resolve_names
 from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.metering import disable_malloc_trim_for
 from benchmark.machine.progress import CountedUnits, track_progress
@@ -61,7 +62,7 @@ class EvalSettings:
 
     Attributes:
         protocols: Who judges; by default those that every run is judged by.
-        scenes: Only these scenes of the split.
+        scenes: Only these scenes of the split, by their names or by those in the tables.
         limit: Only the first so many scenes.
         workers: Number of processes; the result does not depend on it.
         seed: Seed of the intervals.
@@ -89,7 +90,8 @@ class EvalSettings:
             InputError: If the split or a scene is unknown, or nothing is left.
         """
         names = data.scene_names(split)
-        unknown = sorted(set(self.scenes or ()) - set(names))
+        asked = None if self.scenes is None else set(resolve_names(data.provenance(), self.scenes))
+        unknown = sorted((asked or set()) - set(names))
         require_not_rejected(unknown, data.review(split).rejected, str(data.root))
         if unknown:
             raise InputError(
@@ -99,7 +101,7 @@ class EvalSettings:
             )
         if self.limit is not None and self.limit < 1:
             raise InputError(f"--limit must be at least 1, got {self.limit}")
-        wanted = names if self.scenes is None else tuple(name for name in names if name in set(self.scenes))
+        wanted = names if asked is None else tuple(name for name in names if name in asked)
         if not wanted:
             raise InputError(
                 f"split {split!r} of {data.root} has no scenes to evaluate{_describe_all_rejected(data, split)}"

@@ -94,7 +94,7 @@ class DataSource:
         """Refuse an unknown data set, or scenes that are not in it; as `require_split` for any split."""
         if self._is_mini:
             return _preview_embedded("val", self.out, scenes, None)
-        return SourcePreview(_choose_scenes(self._listed(None), None, scenes, None))
+        return SourcePreview(_choose_scenes(self._listed(None), None, self.name_scenes(scenes), None))
 
     def require_source(
         self, split: str, scenes: Sequence[str] | None = None, limit: int | None = None
@@ -104,7 +104,7 @@ class DataSource:
             if split != "val":
                 raise InputError(f"the embedded data set mini has no split {split!r}; its only split is val")
             return _preview_embedded("val", self.out, scenes, limit)
-        of_split = self._listed(split)
+        of_split, scenes = self._listed(split), self.name_scenes(scenes)
         return SourcePreview(_choose_scenes(of_split if scenes is None else self._listed(None), split, scenes, limit))
 
     def require_split(self, split: str, scenes: Sequence[str] | None = None, limit: int | None = None) -> SourcePreview:
@@ -123,9 +123,11 @@ class DataSource:
         if not is_built and not find_variant_folders(self._root):
             find_version(self._root, self.tables)
         # Slow to import; what is no data set is refused before.
+        from benchmark.datasets.scene_names import resolve_names_below
         from benchmark.datasets.split_names import NoSuchSplitError
         from benchmark.datasets.statistics import list_scenes
 
+        scenes = resolve_names_below(split_folder if is_built else self._root, scenes)
         if is_built:
             _require_not_rejected(scenes, split_folder, split)
             return SourcePreview(_choose_scenes(list_scenes(split_folder, split), split, scenes, limit))
@@ -176,6 +178,13 @@ class DataSource:
 
         return workspace(self.out).demonstrated("val") if self.data == DEMONSTRATED else Path(self.data)
 
+    def name_scenes(self, scenes: Sequence[str] | None, split: str | None = None) -> tuple[str, ...] | None:
+        """Scenes by their names, given by these or by those in the tables, of a generated split if it is built."""
+        from benchmark.datasets.scene_names import resolve_names_below
+
+        named = resolve_names_below(self._root, scenes)
+        return named if split is None else resolve_names_below(workspace(self.out).split_root(self.name, split), named)
+
     def _listed(self, split: str | None) -> tuple[str, ...]:
         """Names of scenes as the tables have them, without opening the data set."""
         from benchmark.datasets.statistics import list_scenes
@@ -211,6 +220,7 @@ def _preview_embedded(split: str, out: Path, scenes: Sequence[str] | None, limit
             f"{', '.join(splits)}"
         )
     # Slow to import; a split of another name is refused before.
+    from benchmark.datasets.scene_names import resolve_names_below
     from benchmark.datasets.statistics import list_scenes
     from generation.sources.mini import TownSettings
     from generation.sources.town.scenes import list_town_scene_names
@@ -227,6 +237,7 @@ def _preview_embedded(split: str, out: Path, scenes: Sequence[str] | None, limit
     if split == "val":
         return SourcePreview(_choose_scenes(recorded, split, scenes, limit), tuple(builds))
     if is_finished(split_folder):
+        scenes = resolve_names_below(split_folder, scenes)
         return SourcePreview(_choose_scenes(list_scenes(split_folder, split), split, scenes, limit), tuple(builds))
     if split == "adv":
         frozen = read_newest_split(EMBEDDED)

@@ -168,12 +168,13 @@ def data_show_command(options: DataShowOptions) -> None:
     data, scenes = api.DataSource.of(options), parse_name_list(options.scenes)
     data.require(scenes)
     require_place(options.to, "--to")
+    from benchmark.datasets.scene_names import resolve_names
     from benchmark.machine.extension import import_from_extension
     from generation.render.pictures import write_pictures
     from generation.render.schematic import SchematicRenderer
 
     dataset = _open_for_reading(data)
-    names = (scenes or dataset.scene_names(None))[: options.limit]
+    names = (resolve_names(dataset.provenance(), scenes or ()) or dataset.scene_names(None))[: options.limit]
     write = import_from_extension("pictures", "conditions") if options.conditions else write_pictures
     written = write(dataset, names, options.to, SchematicRenderer())
     typer.echo(f"{pluralise(len(written), 'picture')} in {options.to}")

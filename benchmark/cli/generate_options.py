@@ -89,7 +89,7 @@ class GenerateOptions:
     samples: shared.Samples = None
     together: shared.Together = 1
     layout: Annotated[
-        Literal["suffixed", "per-variant"], Option("One root with suffixed names, or one root per variant.", "Output")
+        Literal["suffixed", "per-variant"], Option("One root for all scenes, or one root per variant.", "Output")
     ] = "suffixed"
     size: shared.Size = "448x256"
     render_size: shared.DrawnSize = "224x400"

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import FRAME_HZ
+from benchmark.datasets.scene_names import find_can_bus_file
 from benchmark.datasets.schema.sidecar_files import CAN_BUS, require_records
 from benchmark.datasets.schema.tables import ValueKind
 from benchmark.geometry import Floats
@@ -84,9 +85,8 @@ class CanBus:
     @classmethod
     def read(cls, root: Path, scene: str) -> Self:
         """Read the CAN bus files of a scene; any of them may be absent."""
-        folder = root / "can_bus"
         motion, steering = (
-            CanMessages.read(folder / f"{scene}_{message}.json", fields) for message, fields in CAN_BUS.items()
+            CanMessages.read(find_can_bus_file(root, scene, message), fields) for message, fields in CAN_BUS.items()
         )
         return cls(motion, steering)
 

@@ -19,6 +19,7 @@ from benchmark.datasets.observations import read_observations
 from benchmark.datasets.sample_truth import compute_truth
 from benchmark.datasets.scene_assessments import read_assessments
 from benchmark.datasets.scene_facts import build_scene_facts
+from benchmark.datasets.scene_names import PROVENANCE, find_name_fault, rename_scenes
 from benchmark.datasets.schema import FaultList
 from benchmark.datasets.sensors import read_cameras, read_lidar, read_sweep_poses, read_videos
 from benchmark.datasets.split_names import list_split_names, read_splits, select_scenes
@@ -56,7 +57,7 @@ class NuScenesData:
         self._rows: dict[str, Row] = {row["name"]: row for row in tables.rows("scene")}
         self._logs: dict[str, Row] = {row["token"]: row for row in tables.rows("log")}
         self._splits = read_splits(root, version)
-        self._provenance = _read_provenance(root / version / "challenger.json", set(self._rows))
+        self._provenance = _read_provenance(root / version / PROVENANCE, set(self._rows))
         self._verdicts = read_review(root)
         self._scenes: OrderedDict[str, Scene] = OrderedDict()
         self._maps: dict[str, RoadMap] = {}
@@ -273,6 +274,10 @@ def _read_provenance(path: Path, scenes: set[str]) -> dict[str, Any] | None:
     scene_reports = value.get("scenes") if isinstance(value, dict) else None
     if not isinstance(value, dict) or not isinstance(scene_reports, dict) or not isinstance(value.get("split"), str):
         raise InputError(f"{path} must be an object with a split and its scenes; write the data set again")
+    if wrong := find_name_fault(value):
+        raise InputError(f"{path}: {wrong}; write the data set again")
+    value = rename_scenes(value)
+    scene_reports = value["scenes"]
     for name, entry in scene_reports.items():
         adversaries = entry.get("adversaries", []) if isinstance(entry, dict) else None
         if not isinstance(adversaries, list) or not all(

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.categories import CategoryNames
+from benchmark.datasets.scene_names import read_names
 from benchmark.datasets.schema import LINKS, FaultList, StrictFaultList, check_rows, check_table
 from benchmark.datasets.schema.links import check_link, note_dead_link
 from benchmark.datasets.schema.opening_checks import check_scene, check_shared_and_samples
@@ -263,8 +264,10 @@ def read_shared(folder: Path, faults: FaultList) -> CheckedTables:
 
 
 def read_rows(folder: Path, table: str) -> list[Row]:
-    """All rows of a table."""
-    return list(chain.from_iterable(TableScan(folder / f"{table}.json").batches()))
+    """All rows of a table; scenes have the names by which they are known (`benchmark.datasets.scene_names`)."""
+    rows = list(chain.from_iterable(TableScan(folder / f"{table}.json").batches()))
+    names = read_names(folder) if table == "scene" else {}
+    return [{**row, "name": names.get(str(row.get("name")), row.get("name"))} for row in rows] if names else rows
 
 
 def find_camera_mounts(tables: Tables) -> frozenset[str]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.datasets.devkit_import import import_devkit_module
+from benchmark.datasets.scene_names import read_names
 from benchmark.datasets.tables import find_splits_file
 from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.storage import read_json
@@ -61,8 +62,9 @@ class NoSuchSplitError(InputError):
 
 def read_splits(root: Path, version: str) -> dict[str, tuple[str, ...]]:
     """Scene names by custom split from ``<version>/splits.json``, else ``splits.json`` in the root, else none."""
-    path = find_splits_file(root / version, root)
-    return {} if path is None else _checked(read_json(path), path)
+    path, names = find_splits_file(root / version, root), read_names(root / version)
+    listed = {} if path is None else _checked(read_json(path), path)
+    return {split: tuple(names.get(name, name) for name in scenes) for split, scenes in listed.items()}
 
 
 def _checked(value: Any, path: Path) -> dict[str, tuple[str, ...]]:

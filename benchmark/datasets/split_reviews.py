@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from benchmark.datasets.scene_names import read_names
 from benchmark.datasets.stored_rows import iterate_rows
 from benchmark.datasets.tables import find_variant_folders, find_version
 from benchmark.errors import InputError, did_you_mean
@@ -88,8 +89,9 @@ def scene_tokens(root: Path, version: str | None = None) -> dict[str, str]:
     if folders:
         parts = {folder: scene_tokens(root / folder, version) for folder in folders}
         return {f"{folder}/{name}": token for folder, part in parts.items() for name, token in part.items()}
-    rows = iterate_rows(root / find_version(root, version) / "scene.json", "name", "token")
-    return dict(sorted((row["name"], row["token"]) for row in rows))
+    folder = root / find_version(root, version)
+    rows, names = iterate_rows(folder / "scene.json", "name", "token"), read_names(folder)
+    return dict(sorted((names.get(row["name"], row["name"]), row["token"]) for row in rows))
 
 
 def record_verdicts(root: Path, verdicts: Mapping[str, Verdict | None]) -> None:

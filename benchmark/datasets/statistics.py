@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from benchmark.datasets.scene_names import PROVENANCE, find_name_fault, find_table_name, rename_scenes
 from benchmark.datasets.split_names import read_splits, select_scenes
 from benchmark.datasets.split_reviews import join_reviews, read_root_review, scene_tokens
 from benchmark.datasets.stored_rows import count_rows
@@ -46,7 +47,7 @@ def read_split_review(root: Path, split: str, *, version: str | None = None) -> 
 
 def _read_root_review(root: Path, split: str, version: str | None) -> SplitReview:
     version, tokens = find_version(root, version), scene_tokens(root, version)
-    provenance = read_cached_json(root / version / "challenger.json")
+    provenance = read_cached_json(root / version / PROVENANCE)
     built_as = provenance.get("split") if isinstance(provenance, dict) else None
     names = select_scenes(split, tuple(tokens), read_splits(root, version), where=str(root), built_as=built_as)
     return read_root_review(root, {name: tokens[name] for name in names}, provenance, split)
@@ -79,7 +80,7 @@ class DataSetStatistics(SplitStatistics):
 
 @dataclass(frozen=True, slots=True)
 class _Root:
-    """One root, opened as far as needed: names of its scenes that count, and how they were made."""
+    """One root, opened as far as needed: names in the tables of its scenes that count, and how scenes were made."""
 
     folder: Path
     scenes: frozenset[str] | None
@@ -136,12 +137,12 @@ def _roots(root: Path, split: str | None, version: str | None) -> list[_Root]:
 
 def _open(root: Path, version: str | None, names: Sequence[str] | None) -> _Root:
     version = find_version(root, version)
-    scene_reports: dict[str, Any] = _provenance(root / version / "challenger.json").get("scenes", {})
+    folder = root / version
+    scene_reports: dict[str, Any] = _provenance(folder / PROVENANCE).get("scenes", {})
     if names is None:
-        return _Root(root / version, None, scene_reports)
-    return _Root(
-        root / version, frozenset(names), {name: scene_reports[name] for name in names if name in scene_reports}
-    )
+        return _Root(folder, None, scene_reports)
+    rows = frozenset(find_table_name(folder, name) for name in names)
+    return _Root(folder, rows, {name: scene_reports[name] for name in names if name in scene_reports})
 
 
 def _provenance(path: Path) -> dict[str, Any]:
@@ -153,12 +154,14 @@ def _provenance(path: Path) -> dict[str, Any]:
         isinstance(entry, dict) and isinstance(entry.get("adversaries", []), list) for entry in scene_reports.values()
     ):
         raise InputError(f"{path} must be an object with its scenes; write the data set again")
-    return dict(value)
+    if wrong := find_name_fault(value):
+        raise InputError(f"{path}: {wrong}; write the data set again")
+    return rename_scenes(value)
 
 
 def _labels_of(part: _Root) -> Iterator[ManoeuvreLabels]:
     def labels(scene: str, stored: Any) -> ManoeuvreLabels:
-        whose = f"{part.folder / 'challenger.json'}: the labels of {scene}"
+        whose = f"{part.folder / PROVENANCE}: the labels of {scene}"
         return validate_stored(
             ManoeuvreLabels.model_validate,
             stored,

@@ -7,6 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from benchmark.datasets.scene_names import find_shift_us
 from benchmark.machine.metering import disable_malloc_trim_for
 from benchmark.machine.storage import content_key
 from benchmark.planning import ContinuousPlanner, Planner
@@ -116,13 +117,14 @@ def _reopen(root: Path, version: str, name: str, categories: "CategoryNames") ->
 def sort_as_published(data: "DataSet", scenes: Sequence[str]) -> tuple[str, ...]:
     """The order in which official code evaluates scenes: that of their samples' times.
 
-    Scenes that were made from one recording share its times; official code would mix their samples, and the authors of
-    Adv-nuSc have it sort by the scene's token first.
+    Scenes that were made from one recording share its times, before the writer moves them apart; official code would
+    mix their samples, and the authors of Adv-nuSc have it sort by the scene's token first.
     """
-    spans = {}
+    spans, made = {}, data.provenance()
     for name in scenes:
         scene = data.scene(name)
-        spans[name] = int(scene.timestamps_us[0]), int(scene.timestamps_us[-1]), scene.token
+        recorded_us = scene.timestamps_us - find_shift_us(made, name)
+        spans[name] = int(recorded_us[0]), int(recorded_us[-1]), scene.token
     by_time = sorted(scenes, key=lambda name: (spans[name], name))
     are_apart = all(spans[earlier][1] <= spans[following][0] for earlier, following in pairwise(by_time))
     return tuple(by_time) if are_apart else tuple(sorted(scenes, key=lambda name: (spans[name][2], name)))

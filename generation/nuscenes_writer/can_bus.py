@@ -6,15 +6,18 @@ Field names, units and frames are those of the nuScenes CAN bus expansion. Deriv
 moment depends on nothing later than it, except in the first half second, where there is nothing earlier.
 """
 
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from benchmark.constants import EGO_WHEELBASE_M
+from benchmark.datasets.scene_names import find_can_bus_file
 from benchmark.geometry import Floats, rotation_matrix
-from benchmark.machine.storage import canonical_json
+from benchmark.machine.storage import canonical_json, read_json
 from benchmark.scene import Scene
 from generation.nuscenes_writer.plan import SourceInfo
 
@@ -31,16 +34,33 @@ _FIT_FRAMES: Final = 7
 """Half a second at 12 Hz."""
 
 
-def build_can_bus_files(scene: Scene, *, name: str, source: SourceInfo | None, source_scene: str) -> dict[str, bytes]:
-    """CAN bus files by path below the data root; ``source_scene`` is the recording's name in ``source``."""
+def build_can_bus_files(
+    scene: Scene, *, name: str, source: SourceInfo | None, source_scene: str, shift_us: int = 0
+) -> dict[str, bytes]:
+    """CAN bus files by path below the data root; ``source_scene`` is the recording's name in ``source``.
+
+    ``shift_us`` is by how much the scene's times are later than the recording's.
+    """
     if source is not None and source.root is not None:
-        recorded = sorted((source.root / "can_bus").glob(f"{source_scene}_*.json"))
+        pattern = find_can_bus_file(source.root, source_scene, "*")
+        recorded, own = sorted(pattern.parent.glob(pattern.name)), pattern.name.removesuffix("_*.json")
         if recorded:
-            return {f"can_bus/{name}{path.name.removeprefix(source_scene)}": path.read_bytes() for path in recorded}
+            return {f"can_bus/{name}{path.name.removeprefix(own)}": _read_shifted(path, shift_us) for path in recorded}
     messages = derive_messages(scene)
     return {
         f"can_bus/{name}_{kind}.json": (canonical_json(content) + "\n").encode() for kind, content in messages.items()
     }
+
+
+def _read_shifted(path: Path, shift_us: int) -> bytes:
+    """A recorded file, or the same with its messages later; keys keep their order, which converters go by."""
+    data = path.read_bytes()
+    content = read_json(path) if shift_us else None
+    messages = content if isinstance(content, list) else []
+    timed = [message for message in messages if isinstance(message, dict) and type(message.get("utime")) is int]
+    for message in timed:
+        message["utime"] += shift_us
+    return (json.dumps(content, separators=(",", ":")) + "\n").encode() if timed else data
 
 
 @dataclass(frozen=True, slots=True)

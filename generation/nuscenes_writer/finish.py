@@ -7,16 +7,16 @@ from typing import Any, Final
 
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.scene_assessments import ASSESSMENTS_FILE
+from benchmark.datasets.scene_names import NAME, PROVENANCE, SHIFT_US
 from benchmark.datasets.split_reviews import LEFT_OUT
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, write_bytes, write_json, writing_to
 from benchmark.records.attempts import SEARCH
 from generation.nuscenes_writer.maps import write_maps
 from generation.nuscenes_writer.plan import DataSetPlan, require_own_root
-from generation.nuscenes_writer.scenes import read_state, read_stored_fragment, release_claim
+from generation.nuscenes_writer.scenes import NUMBER, place_file, read_state, read_stored_fragment, release_claim
 from generation.nuscenes_writer.vocabulary import LabelVocabulary, Row, build_sensor_rows
 
-PROVENANCE: Final = "challenger.json"
 PROVENANCE_SCHEMA: Final = 1
 STATE_FOLDERS: Final = ("attempts", "claims", "fragments", "judgements", "maps", "rounds", "surveys")
 """Where unfinished files may lie below the writer's own folder."""
@@ -73,14 +73,14 @@ def _read_fragment(plan: DataSetPlan, key: str) -> Fragment:
 
 def _require_distinct(members: Sequence[Fragment]) -> None:
     names: set[str] = set()
-    owners: dict[str, dict[str, str]] = {"files": {}, "instances": {}}
+    owners: dict[str, dict[str, str]] = {"numbers": {}, "files": {}, "instances": {}}
     for fragment in members:
         name = fragment["name"]
         if name in names:
             raise InputError(f"two scenes have the name {name}; give each its own name or use another variant")
         names.add(name)
         for kind, known in owners.items():
-            for item in fragment[kind]:
+            for item in [_find_row_name(fragment)] if kind == "numbers" else fragment[kind]:
                 if item in known:
                     raise InputError(
                         f"{known[item]} and {name} share {kind[:-1]} {item}; scenes of one data set need logs or times "
@@ -113,7 +113,9 @@ def _remove_stale(plan: DataSetPlan, roots: Mapping[int, Sequence[Fragment]]) ->
     """Remove scenes that are no longer part of the data set, and roots that have none left."""
     current_keys = {fragment["key"] for members in roots.values() for fragment in members}
     used = {
-        plan.data_root(variant): frozenset(path for fragment in members for path in fragment["files"])
+        plan.data_root(variant): frozenset(
+            name for fragment in members for path in fragment["files"] for name in (path, place_file(fragment, path))
+        )
         for variant, members in roots.items()
     }
     for path, claim in _read_claims(plan).items():
@@ -154,6 +156,7 @@ def _write_root(
     members: Sequence[Fragment],
     splits: Mapping[str, Sequence[str]],
 ) -> None:
+    _place_files(root, members)
     logs, maps = write_maps(plan, root, vocabulary, members)
     shared: dict[str, list[Row]] = {
         "sensor": build_sensor_rows(),
@@ -170,9 +173,31 @@ def _write_root(
         else:
             lines = [fragment["tables"][table] for fragment in members if fragment["tables"][table]]
         write_bytes(folder / f"{table}.json", ("[\n" + ",\n".join(lines) + "\n]\n").encode())
-    here = {fragment["name"] for fragment in members}
-    present = {split: [name for name in names if name in here] for split, names in splits.items()}
+    rows = {fragment["name"]: _find_row_name(fragment) for fragment in members}
+    present = {split: [rows[name] for name in names if name in rows] for split, names in splits.items()}
     write_json(folder / "splits.json", present)
+
+
+def _place_files(root: Path, members: Sequence[Fragment]) -> None:
+    """Give files the names that they have in a finished root."""
+    for fragment in members:
+        for path in fragment["files"]:
+            place = root / place_file(fragment, path)
+            if place != root / path and (root / path).is_file():
+                with writing_to(place):
+                    (root / path).replace(place)
+
+
+def _find_row_name(fragment: Fragment) -> str:
+    """Name of a scene in the tables."""
+    return str(fragment.get(NUMBER, fragment)["name"])
+
+
+def _describe_scene(fragment: Fragment) -> dict[str, Any]:
+    made = {name: fragment[name] for name in ("source_scene", "adversaries", "report")}
+    if NUMBER not in fragment:
+        return made
+    return {NAME: fragment["name"], SHIFT_US: fragment[NUMBER]["shift_us"], **made}
 
 
 def _merge_labels(known: Mapping[str, Row], members: Sequence[Fragment], table: str) -> list[Row]:
@@ -182,10 +207,7 @@ def _merge_labels(known: Mapping[str, Row], members: Sequence[Fragment], table: 
 
 def _build_provenance(plan: DataSetPlan, members: Sequence[Fragment]) -> dict[str, Any]:
     source = None if plan.source is None else {"name": plan.source.name, "fingerprint": plan.source.fingerprint}
-    scenes = {
-        fragment["name"]: {name: fragment[name] for name in ("source_scene", "adversaries", "report")}
-        for fragment in members
-    }
+    scenes = {_find_row_name(fragment): _describe_scene(fragment) for fragment in members}
     provenance = {
         "schema": PROVENANCE_SCHEMA,
         "split": plan.split,

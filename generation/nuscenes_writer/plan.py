@@ -16,6 +16,7 @@ from benchmark.machine.storage import content_key, make_token
 from benchmark.records.review import StandingVerdict
 from benchmark.runs.units import ResultStore
 from benchmark.scene import Camera, Scene
+from generation.nuscenes_writer.numbering import SceneNumber
 from generation.render.contract import Renderer
 
 WRITER_VERSION: Final = 1
@@ -113,9 +114,11 @@ class SceneNames:
     """Tokens and file names of one scene; ``suffix`` is what ``name`` has after the name of the source scene.
 
     Tokens are hashes of ``identity`` and their own parts; ``keeps_instances`` keeps those of the source's instances.
+    ``row`` is the scene's name in the tables.
     """
 
     name: str
+    row: str
     suffix: str
     log: str
     identity: tuple[str, ...]
@@ -131,6 +134,7 @@ class SceneNames:
         variant: int,
         source_scene: str,
         identity: str | None = None,
+        number: SceneNumber | None = None,
     ) -> "SceneNames":
         """Names of a scene of a plan; see `write_scene` for the arguments."""
         require_plain_name("scene", name)
@@ -139,6 +143,7 @@ class SceneNames:
             identity = content_key(to_digestible((scene.timestamps_us, scene.ego, scene.agents, scene.annotations)))
         return cls(
             name=name,
+            row=name if number is None else number.name,
             suffix=suffix,
             log=re.sub(r"[^A-Za-z0-9.+_-]", "_", scene.log or name),
             identity=(plan.split, str(variant), name, identity),

@@ -83,7 +83,7 @@ def _build_scene_row(names: SceneNames, vocabulary: LabelVocabulary, scene: Scen
     count = len(scene.keyframes)
     return {
         "token": names.token("scene"),
-        "name": names.name,
+        "name": names.row,
         "description": scene.description,
         "log_token": vocabulary.get_log_row(scene)["token"],
         "nbr_samples": count,

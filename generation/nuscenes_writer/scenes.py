@@ -1,6 +1,8 @@
 """Writing one scene: its files first, the fragment with its table rows last."""
 
+import json
 from collections.abc import Iterable, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,10 +13,19 @@ from numpy.typing import NDArray
 from benchmark.constants import LIDAR_NAME
 from benchmark.errors import InputError
 from benchmark.machine.progress import CountedUnits, track_progress
-from benchmark.machine.storage import canonical_json, content_key, read_cached_json, write_bytes, write_json, writing_to
+from benchmark.machine.storage import (
+    canonical_json,
+    content_key,
+    read_cached_json,
+    read_json,
+    write_bytes,
+    write_json,
+    writing_to,
+)
 from benchmark.road_map import RoadMap
 from benchmark.scene import Camera, Scene
 from generation.nuscenes_writer.can_bus import build_can_bus_files
+from generation.nuscenes_writer.numbering import SceneNumber
 from generation.nuscenes_writer.plan import DataSetPlan, SceneNames, compute_scene_key, require_own_root
 from generation.nuscenes_writer.road_maps import pack_road_map
 from generation.nuscenes_writer.rows import SensorChannel, build_channels, build_scene_tables, list_used_labels
@@ -24,6 +35,10 @@ from generation.render.contract import CuttingRenderer, Images, SweepRenderer
 FRAGMENT_SCHEMA = 1
 UNDRAWN = "undrawn"
 """Stands in the fragment of a scene whose images between samples are not drawn yet."""
+
+
+NUMBER = "number"
+"""In the fragment of a scene whose name and times in the tables are not its recording's (`SceneNumber`)."""
 
 
 class WrittenScene(NamedTuple):
@@ -60,43 +75,48 @@ def write_scene_if_missing(
     report: dict[str, Any],
     variant: int = 0,
     identity: str | None = None,
+    number: SceneNumber | None = None,
 ) -> WrittenScene:
     """Render and write one scene, unless it is complete; gives the content key, and whether there was something to do.
 
     Safe to call for different scenes in different processes, and to kill at any moment: the same call then goes on and
     ends with the same bytes. A `CuttingRenderer` may leave the scene's end out. ``report`` is plain JSON for
     ``challenger.json``, ``variant`` the number of the root in the ``per-variant`` layout. ``identity`` is the source of
-    tokens; the scene's motion by default, whose last bits depend on the processor. An `InputError` refuses scenes as
-    `require_valid`, names that are no file names, and targets with another writer's data set.
+    tokens; the scene's motion by default, whose last bits depend on the processor. ``number`` is its name in the tables
+    and the shift of its times; a scene that was written under another one is renamed, not drawn again. An `InputError`
+    refuses scenes as `require_valid`, names that are no file names, and targets with another writer's data set.
     """
     require_valid(scene)
     if isinstance(plan.renderer, CuttingRenderer):
         scene = plan.renderer.cut(scene)
     require_own_root(plan, variant)
-    names = SceneNames.of(plan, scene, name=name, variant=variant, source_scene=source_scene, identity=identity)
+    names = SceneNames.of(
+        plan, scene, name=name, variant=variant, source_scene=source_scene, identity=identity, number=number
+    )
     cameras = () if plan.renderer is None else plan.renderer.cameras(scene)
     map_key = _store_map(plan, scene.road_map)
     labels = {"name": name, "variant": variant, "source_scene": source_scene, "report": report}
     called = labels if identity is None else {**labels, "identity": identity}
     key = compute_scene_key(plan, scene, cameras, map_key=map_key, labels=called)
-    if is_complete(plan, key, variant=variant, name=name):
+    if is_complete(plan, key, variant=variant, name=name, number=number):
         return WrittenScene(key, made=False)
+    shift_us = 0 if number is None else number.shift_us
+    timed = replace(scene, timestamps_us=scene.timestamps_us + shift_us)
     frames = range(len(scene.timestamps_us)) if plan.frames == "all" else scene.keyframes.tolist()
     tracks = plan.renderer.camera_tracks(scene) if isinstance(plan.renderer, SweepRenderer) else {}
     channels = build_channels(cameras, tracks)
     vocabulary = LabelVocabulary.of(plan.source)
-    tables = build_scene_tables(names, vocabulary, scene, channels, frames)
-    messages = build_can_bus_files(scene, name=name, source=plan.source, source_scene=source_scene)
-    sensor_files = [row["filename"] for row in tables["sample_data"]]
-    if plan.lossless:
-        sensor_files += [_lossless_name(path) for path in sensor_files if path.endswith(".jpg")]
-    claim_files(plan, key, variant, name, [*sensor_files, *messages])
+    tables = build_scene_tables(names, vocabulary, timed, channels, frames)
+    messages = build_can_bus_files(timed, name=name, source=plan.source, source_scene=source_scene, shift_us=shift_us)
+    sensor_files = _list_sensor_files(plan, tables["sample_data"])
+    existing_pictures = _keep_pictures(plan, key, variant, name, sensor_files)
+    placed = (_place(path, name, names.row) for path in messages)
+    claim_files(plan, key, variant, name, {*sensor_files, *messages, *placed})
     root = plan.data_root(variant)
-    existing_pictures = _find_existing_pictures(plan, key, variant, name)
     for path, data in messages.items():
         write_bytes(root / path, data, durable=False)
-    _write_lidar_files(root, names, scene, channels, frames)
-    _write_images(plan, root, names, scene, channels, frames, existing_pictures)
+    _write_lidar_files(root, names, timed, channels, frames)
+    _write_images(plan, root, names, (scene, timed), channels, frames, existing_pictures)
     if plan.pictures == "keyframes":
         sensor_files = [path for path in sensor_files if not _is_sweep_image(path)]
     fragment = {
@@ -112,16 +132,19 @@ def write_scene_if_missing(
         "files": {path: (root / path).stat().st_size for path in sorted([*sensor_files, *messages])},
         "renderer": _build_renderer_row(plan, cameras),
         **({UNDRAWN: True} if plan.pictures == "keyframes" else {}),
+        **({NUMBER: asdict(number)} if number is not None else {}),
         "tables": {table: ",\n".join(map(canonical_json, rows)) for table, rows in tables.items()},
     }
     plan.fragments.put(key, fragment)
     return WrittenScene(key, made=True)
 
 
-def is_complete(plan: DataSetPlan, key: str, *, variant: int, name: str) -> bool:
+def is_complete(plan: DataSetPlan, key: str, *, variant: int, name: str, number: SceneNumber | None = None) -> bool:
     """Whether a scene's fragment, claim and files are all there, the files in the size they were written."""
     fragment = _read_claimed_fragment(plan, key, variant=variant, name=name)
     if fragment is None or (UNDRAWN in fragment and plan.pictures == "all"):
+        return False
+    if fragment.get(NUMBER) != (None if number is None else asdict(number)):
         return False
     return len(_find_whole_files(plan.data_root(variant), fragment)) == len(fragment["files"])
 
@@ -133,20 +156,69 @@ def _read_claimed_fragment(plan: DataSetPlan, key: str, *, variant: int, name: s
 
 def _find_whole_files(root: Path, fragment: dict[str, Any]) -> frozenset[str]:
     """Which files of a fragment are there, in the size they were written."""
-    sizes = fragment["files"].items()
-    return frozenset(path for path, size in sizes if (root / path).is_file() and (root / path).stat().st_size == size)
+    whole = set()
+    for path, size in fragment["files"].items():
+        places = (root / path, root / place_file(fragment, path))
+        if any(place.is_file() and place.stat().st_size == size for place in places):
+            whole.add(path)
+    return frozenset(whole)
 
 
-def _find_existing_pictures(plan: DataSetPlan, key: str, variant: int, name: str) -> frozenset[str]:
-    """Images of a scene whose other images are drawn later, as far as they are there already."""
+def place_file(fragment: dict[str, Any], path: str) -> str:
+    """Where a file of a written scene is in the finished root: the CAN bus under the scene's name in the tables.
+
+    Numbers change hands between scenes; until a root is finished, all files have names that are of one scene alone.
+    """
+    return _place(path, fragment["name"], fragment.get(NUMBER, fragment)["name"])
+
+
+def _place(path: str, name: str, row: str) -> str:
+    own = f"can_bus/{name}_"
+    return f"can_bus/{row}_{path.removeprefix(own)}" if path.startswith(own) else path
+
+
+def _keep_pictures(plan: DataSetPlan, key: str, variant: int, name: str, files: Sequence[str]) -> frozenset[str]:
+    """Images among ``files`` that are not drawn again, in the order of `_list_sensor_files`.
+
+    Those of a scene whose other images are drawn later, and those that it had under another number, which are renamed.
+    """
     fragment = _read_claimed_fragment(plan, key, variant=variant, name=name)
-    if fragment is None or UNDRAWN not in fragment:
+    if fragment is None:
         return frozenset()
-    return frozenset(path for path in _find_whole_files(plan.data_root(variant), fragment) if not path.endswith(".bin"))
+    root, rows = plan.data_root(variant), json.loads(f"[{fragment['tables']['sample_data']}]")
+    before = _list_sensor_files(plan, rows)
+    if before == list(files):
+        here = _find_whole_files(root, fragment) if UNDRAWN in fragment else frozenset()
+        return frozenset(path for path in here if _is_image(path))
+    # Where times overlap, a new name may be the old one of another frame.
+    if set(before) & set(files):
+        return frozenset()
+    path = plan.claim_path(variant, name)
+    claim = read_json(path)
+    write_json(path, {**claim, "files": sorted({*claim["files"], *files})}, indent=None)
+    kept = set()
+    for old, new in zip(before, files, strict=True):
+        size = fragment["files"].get(old)
+        places = (path for path in (root / old, root / new) if path.is_file() and path.stat().st_size == size)
+        if _is_image(new) and (place := next(places, None)) is not None:
+            with writing_to(place):
+                place.replace(root / new)
+            kept.add(new)
+    return frozenset(kept)
+
+
+def _list_sensor_files(plan: DataSetPlan, rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Files of rows of ``sample_data``, those without loss last."""
+    files = [row["filename"] for row in rows]
+    return files + [_lossless_name(path) for path in files if plan.lossless and path.endswith(".jpg")]
+
+
+def _is_image(path: str) -> bool:
+    return path.endswith((".jpg", ".png"))
 
 
 def _is_sweep_image(path: str) -> bool:
-    return path.startswith("sweeps/") and path.endswith((".jpg", ".png"))
+    return path.startswith("sweeps/") and _is_image(path)
 
 
 def read_stored_fragment(plan: DataSetPlan, key: str) -> dict[str, Any] | None:
@@ -242,12 +314,13 @@ def _write_images(
     plan: DataSetPlan,
     root: Path,
     names: SceneNames,
-    scene: Scene,
+    scenes: tuple[Scene, Scene],
     channels: Sequence[SensorChannel],
     frames: Sequence[int],
     existing_pictures: frozenset[str],
 ) -> None:
-    """Draw and write the images that a plan wants of a scene and that are not there."""
+    """Draw and write the images that a plan wants of a scene, as recorded and as timed, and that are not there."""
+    scene, timed = scenes
     cameras = [channel for channel in channels if channel.camera is not None]
     if plan.renderer is None or not cameras:
         return
@@ -255,13 +328,13 @@ def _write_images(
     open_frames = [
         frame
         for frame in wanted
-        if any(_build_file_path(names, scene, one, frame) not in existing_pictures for one in cameras)
+        if any(_build_file_path(names, timed, one, frame) not in existing_pictures for one in cameras)
     ]
     drawn = plan.renderer.render(scene, open_frames)
     rendered = track_progress(drawn, total=len(open_frames), label=scene.name, count=CountedUnits("frame"))
     for frame, images in zip(open_frames, rendered, strict=True):
         for channel in cameras:
-            path, image = root / _build_file_path(names, scene, channel, frame), _check_image(channel, images)
+            path, image = root / _build_file_path(names, timed, channel, frame), _check_image(channel, images)
             if plan.lossless:
                 write_bytes(path.with_name(_lossless_name(path.name)), _encode_image(image, ".png", []), durable=False)
             write_bytes(path, encode_jpeg(image, plan.jpeg_quality), durable=False)

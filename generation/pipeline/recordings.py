@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from benchmark.datasets.annotated_objects import require_annotated
 from benchmark.datasets.roots import DataSet
+from benchmark.datasets.scene_names import resolve_names
 from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.workspace import is_generated
 from benchmark.report.words import pluralise
@@ -64,14 +65,14 @@ def _list_requested_scenes(source: DataSet, settings: BuildSettings) -> tuple[st
     if settings.scenes is None:
         names = source.scene_names(settings.source_split)
     else:
-        known = set(source.scene_names(None))
-        unknown = [name for name in settings.scenes if name not in known]
+        known, asked = set(source.scene_names(None)), resolve_names(source.provenance(), settings.scenes)
+        unknown = [name for name in asked if name not in known]
         if unknown:
             raise InputError(
                 f"{source.name} has no scene {', '.join(unknown)}; {did_you_mean(unknown[0], known)}it has "
                 f"{', '.join(sorted(known)[:8])} ..."
             )
-        names = tuple(dict.fromkeys(settings.scenes))
+        names = tuple(dict.fromkeys(asked))
     if not names:
         raise InputError(f"{source.name} has no scenes in split {settings.source_split}")
     return names[: settings.limit]

@@ -13,7 +13,7 @@ from generation.nuscenes_writer import DataSetPlan
 from generation.nuscenes_writer.plan import SceneNames
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.surrogate import SurrogateResult, build_staging_plan, evaluate_surrogate, reuse_scenes
-from generation.pipeline.writing import WritingJob, write_scenes
+from generation.pipeline.writing import WritingJob, number_jobs, write_scenes
 from generation.search.chains import AdversaryChain, DropReason, SearchAttempt, SearchResult
 from generation.search.ranking import rank_scenes
 
@@ -129,7 +129,8 @@ def select_scenes(source: DataSet, plan: DataSetPlan, found: SearchResult, setti
     left_out = tuple(rejected.values())
     if settings.surrogate is None or not order:
         selected = _select_most_challenging(found, order, settings)
-        return SceneSelection(selected, [by_name[chain.name] for chain in selected], left_out=left_out)
+        own = number_jobs(plan, [by_name[chain.name] for chain in selected], source)
+        return SceneSelection(selected, own, left_out=left_out)
     staging, jobs = build_staging_plan(plan, settings.surrogate), [by_name[chain.name] for chain in order]
     keys = write_scenes(
         staging,
@@ -149,7 +150,8 @@ def select_scenes(source: DataSet, plan: DataSetPlan, found: SearchResult, setti
             found.drop(chain, DropReason.SURROGATE_COPES)
     selected = _select_most_challenging(found, failing, settings)
     staged = {job.name: key for job, key in zip(jobs, keys, strict=True)}
-    return SceneSelection(selected, [by_name[chain.name] for chain in selected], judgement, staging, staged, left_out)
+    own = number_jobs(plan, [by_name[chain.name] for chain in selected], source)
+    return SceneSelection(selected, own, judgement, staging, staged, left_out)
 
 
 def _select_most_challenging(

@@ -38,7 +38,7 @@ class BuildSettings:
         asked: Kinds of manoeuvre that every vehicle is asked for, one attempt each; none leaves it free.
         total: Most adversarial scenes kept, ``None`` for all.
         renderer: Draws the images, ``None`` for a data set without images.
-        layout: One root with suffixed names, or one root per variant with original names.
+        layout: One root with numbered names, or one root per variant with original names.
         frames: Which frames get images and rows.
         version: Version folder that is written.
         jpeg_quality: 1 to 100.

@@ -139,7 +139,10 @@ def _build_adversarial(
     notes = _write(source, plan, chosen.jobs, settings)
     if settings.freeze is not None:
         how = _build_choice(report, settings, plan.left_out)
-        write_frozen(settings.freeze, freeze_split(source, plan, chosen.chains, search, how, settings.where_rendered))
+        frozen = freeze_split(
+            source, plan, chosen.chains, search, how, settings.where_rendered, [job.number for job in chosen.jobs]
+        )
+        write_frozen(settings.freeze, frozen)
     return replace(
         report, runtime=build_runtime_table([search.timing_path(attempted.unit) for attempted in result.tried], notes)
     )

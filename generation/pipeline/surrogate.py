@@ -108,10 +108,10 @@ def require_all_planned(record: RunRecord) -> None:
 
 
 def reuse_scenes(staging: DataSetPlan, plan: DataSetPlan, keys: Sequence[str]) -> None:
-    """Put finished scenes into another data set of the same bytes; `write_scene` then finds them complete."""
+    """Put finished scenes into another data set; `write_scene` then renames them and has nothing to draw."""
     for key in keys:
         fragment = read_stored_fragment(staging, key)
-        if fragment is None:
+        if fragment is None or read_stored_fragment(plan, key) is not None:
             continue
         claim_files(plan, fragment["key"], fragment["variant"], fragment["name"], fragment["files"])
         source, target = staging.data_root(fragment["variant"]), plan.data_root(fragment["variant"])

@@ -19,18 +19,19 @@ from benchmark.datasets.scene_assessments import (
     read_assessments,
     read_assessments_file,
 )
+from benchmark.datasets.scene_names import PROVENANCE, find_names, read_scene_times
 from benchmark.datasets.tables import find_variant_folders
 from benchmark.errors import InputError
 from benchmark.fairness.scene_assessment import AdversaryProvenance, assess_scene
 from benchmark.fairness.split_assessment import measure_split_realism
-from benchmark.machine.storage import canonical_json, content_key, read_json, write_bytes, writing_to
+from benchmark.machine.storage import canonical_json, content_key, read_cached_json, read_json, write_bytes, writing_to
 from benchmark.machine.workers import Executor
 from benchmark.records.scene_assessment import DEFINITION, SceneAssessment
 from benchmark.records.scene_pages import KEPT_ROUNDS_FOLDER, RefinementTrace, kept_rounds_path
 from benchmark.runs.units import ResultStore, run_units
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, finish_data_set
-from generation.nuscenes_writer.finish import PROVENANCE
+from generation.nuscenes_writer.numbering import SceneNumber, number_scenes
 from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.nuscenes_writer.scenes import WrittenScene, read_state, read_stored_fragment, write_scene_if_missing
 
@@ -42,7 +43,8 @@ class WritingJob:
     ``variant`` numbers its root in the ``per-variant`` layout and is part of its tokens in any. ``make`` turns the
     recorded scene into what is written and goes to workers by pickle. ``last_attempt`` is the content key of the
     attempt that made its last adversary, with that one's place; ``identity`` the source of its tokens, if not its
-    motion; ``tracks`` how its adversaries were made, if it is to be judged where it is written.
+    motion; ``tracks`` how its adversaries were made, if it is to be judged where it is written; ``number`` its name and
+    times in the tables, if not its own.
     """
 
     name: str
@@ -55,10 +57,31 @@ class WritingJob:
     identity: str | None = None
     judgements: tuple[SceneAssessment, ...] = ()
     tracks: AdversaryProvenance | None = None
+    number: SceneNumber | None = None
 
     def name_in_data_set(self, plan: DataSetPlan) -> str:
         """Name by which `benchmark.datasets.roots.open_data` knows the scene."""
         return f"v{self.variant}/{self.written_as}" if plan.layout == "per-variant" else self.written_as
+
+
+def number_jobs(plan: DataSetPlan, jobs: Sequence[WritingJob], source: DataSet) -> list[WritingJob]:
+    """Jobs of all generated scenes of a root with their numbers, which their order and executor do not change.
+
+    Roots that have one variant of each recording keep its name and times, and roots of earlier versions those that they
+    have, to which records refer.
+    """
+    if plan.layout == "per-variant" or not jobs or _is_unnumbered(plan):
+        return list(jobs)
+    recorded = read_scene_times(source.root, source.version)
+    times = {job.written_as: recorded[job.source_scene] for job in jobs}
+    numbers = number_scenes(times, {job.source_scene for job in jobs})
+    return [replace(job, number=numbers.get(job.written_as)) for job in jobs]
+
+
+def _is_unnumbered(plan: DataSetPlan) -> bool:
+    """Whether a root is finished and its scenes have their own names in the tables."""
+    made = read_cached_json(plan.root / plan.version / PROVENANCE)
+    return isinstance(made, dict) and bool(made.get("scenes")) and not find_names(made)
 
 
 def write_scenes(
@@ -100,6 +123,7 @@ def _write_one(plan: DataSetPlan, timing: Path, shipped: tuple[Scene, WritingJob
         report=job.report,
         variant=job.variant,
         identity=job.identity,
+        number=job.number,
     )
     if job.tracks is not None:
         _assess_scene(plan, written.key, scene, job.tracks)

@@ -30,6 +30,7 @@ from generation.splits.tracks import (
     build_tracks,
     compute_tables_digest,
     compute_written_digest,
+    find_number,
     parse_image_facts,
 )
 
@@ -295,6 +296,7 @@ def build_frozen_jobs(
             report=build_scene_report(frozen, scene, split.frozen.search.seed),
             identity=frozen.identity,
             tracks=build_tracks(frozen),
+            number=None if plan.layout == "per-variant" else find_number(frozen),
         )
         built[index] = job, compute_tables_digest(plan, scene, frozen)
         masked.append(count_masked_steps(scene))

@@ -15,6 +15,7 @@ from benchmark.machine.storage import make_token
 from benchmark.scene import Scene
 from benchmark.untrusted.files import to_one_line
 from generation.nuscenes_writer import DataSetPlan, SourceInfo
+from generation.nuscenes_writer.numbering import number_scenes
 from generation.splits.format import (
     EDITED,
     FrozenAdversary,
@@ -28,6 +29,7 @@ from generation.splits.packaged import NamedSplit
 from generation.splits.tracks import (
     SAME_M,
     add_frozen_adversaries,
+    add_number,
     compute_tables_digest,
     read_recorded_pose,
     round_pose,
@@ -71,14 +73,20 @@ def build_edited_split(source: DataSet, path: Path, edited: EditedScenes | None 
         source=SourceInfo(source.name, source.fingerprint(), source.root, source.version),
     )
     scenes: dict[str, FrozenScene] = {}
+    times: dict[str, tuple[int, int]] = {}
     files = read_edited(path) if edited is None else edited
     for file, exchanged in files:
         recorded = _read_recording(source, exchanged, file)
         frozen = build_edited_scene(exchanged.scene, recorded, file)
         if frozen.name in scenes:
             raise InputError(f"{file} holds the same scene as another file of {path}; keep one of them")
-        digest = compute_tables_digest(plan, add_frozen_adversaries(frozen, recorded), frozen)
-        scenes[frozen.name] = frozen.model_copy(update={"tables": digest})
+        scenes[frozen.name] = frozen
+        times[frozen.name] = int(recorded.timestamps_us[0]), int(recorded.timestamps_us[-1])
+    numbers = number_scenes(times, {frozen.source for frozen in scenes.values()})
+    for name, unnumbered in scenes.items():
+        frozen = add_number(unnumbered, numbers.get(name))
+        changed = add_frozen_adversaries(frozen, source.scene(frozen.source))
+        scenes[name] = frozen.model_copy(update={"tables": compute_tables_digest(plan, changed, frozen)})
     split = FrozenSplit(
         recordings=RecordingsIdentity(name=source.name, fingerprint=source.fingerprint()),
         search=SearchMetadata(algorithm=EDITED, hyper=EDITED, prior=EDITED, seed=0),

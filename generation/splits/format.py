@@ -29,6 +29,7 @@ _Metres = Annotated[float, Field(ge=-1e8, le=1e8)]
 _Radians = Annotated[float, Field(ge=-1e3, le=1e3)]
 _Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 _Name = Annotated[str, Field(min_length=1, max_length=200)]
+_Plain = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$", max_length=200)]
 Pose = tuple[_Metres, _Metres, _Radians]
 """x, y and yaw of a box centre in the global frame."""
 
@@ -55,18 +56,29 @@ class FrozenScene(_FrozenModel):
     """One scene, with its adversaries in the order in which they were planned.
 
     ``tables`` is a hash with numbers rounded to a nanometre (`generation.splits.tracks`), ``images`` one of key frames.
+    Older splits have neither ``numbered`` nor ``shift_us``: their tables have the scene's name and recorded times.
 
     Attributes:
         name: Of the new scene.
+        numbered: Its name in the tables.
+        shift_us: By how much its times there are later than recorded.
         source: Recorded scene.
         adversaries: Their tracks.
     """
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$", max_length=200)]
+    name: _Plain
     source: _Name
     adversaries: Annotated[tuple[FrozenAdversary, ...], Field(min_length=1)]
     tables: _Hash
     images: _Hash | None = None
+    numbered: _Plain | None = None
+    shift_us: Annotated[int, Field(ge=0, le=10**16)] | None = None
+
+    @model_serializer(mode="wrap")
+    def _omit_later_fields(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Older splits keep their bytes and their content hash."""
+        values: dict[str, Any] = plain(self)
+        return {name: value for name, value in values.items() if value is not None or name == "images"}
 
     @model_validator(mode="after")
     def _check_consistency(self) -> Self:
@@ -211,9 +223,10 @@ class FrozenSplit(_FrozenModel):
     def _check_distinct(self) -> Self:
         known: set[str] = set()
         for scene in self.scenes:
-            if scene.name in known:
-                raise ValueError(f"two scenes have the name {scene.name}")
-            known.add(scene.name)
+            for name in dict.fromkeys((scene.name, scene.numbered or scene.name)):
+                if name in known:
+                    raise ValueError(f"two scenes have the name {name}")
+                known.add(name)
         return self
 
     @property

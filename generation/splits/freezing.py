@@ -8,6 +8,7 @@ from benchmark.datasets.roots import DataSet
 from benchmark.machine.workers import Executor
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan
+from generation.nuscenes_writer.numbering import SceneNumber
 from generation.search.chains import AdversaryChain, SearchAttempt
 from generation.search.definition import Search
 from generation.splits.format import (
@@ -20,6 +21,7 @@ from generation.splits.format import (
 )
 from generation.splits.tracks import (
     add_frozen_adversaries,
+    add_number,
     build_image_facts,
     compute_drawn_digest,
     compute_tables_digest,
@@ -38,8 +40,12 @@ def freeze_split(
     search: Search,
     chosen: SceneChoice,
     executor: Executor,
+    numbers: Sequence[SceneNumber | None] = (),
 ) -> FrozenSplit:
-    """Freeze scenes, best first; where images are drawn changes nothing: those of ``plan`` are compared later."""
+    """Freeze scenes, best first; where images are drawn changes nothing: those of ``plan`` are compared later.
+
+    ``numbers`` are those of the scenes in their root; without them they keep name and times of the recording.
+    """
     assert plan.source is not None
     images = build_image_facts(plan, source.scene(chains[0].scene_name))
     order = sorted(range(len(chains)), key=lambda index: (chains[index].scene_name, index))
@@ -47,7 +53,7 @@ def freeze_split(
     def work() -> Iterator[tuple[Scene, FrozenScene]]:
         for index in order:
             recorded = source.scene(chains[index].scene_name)
-            frozen = _freeze_scene(chains[index], recorded)
+            frozen = add_number(_freeze_scene(chains[index], recorded), numbers[index] if numbers else None)
             yield add_frozen_adversaries(frozen, recorded), frozen
 
     compared = functools.partial(_add_hashes, plan, images is not None)

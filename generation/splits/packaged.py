@@ -33,7 +33,8 @@ class NamedSplit:
         for frozen in self.frozen.scenes:
             numbered.append((frozen, variant_counts.get(frozen.source, 0)))
             variant_counts[frozen.source] = numbered[-1][1] + 1
-        wanted = set(variant_counts if scenes is None else scenes)
+        numbered_names = {frozen.numbered: frozen.name for frozen in self.frozen.scenes if frozen.numbered is not None}
+        wanted = {numbered_names.get(name, name) for name in (variant_counts if scenes is None else scenes)}
         unknown = sorted(wanted - set(variant_counts) - {frozen.name for frozen in self.frozen.scenes})
         if unknown:
             raise InputError(

@@ -15,6 +15,7 @@ from benchmark.records.attempts import Approach, Attempt
 from benchmark.scene import Scene
 from generation.labels.labelling import compute_labels, compute_times_to_collision, find_closest_approach
 from generation.nuscenes_writer import DataSetPlan
+from generation.nuscenes_writer.numbering import SceneNumber
 from generation.nuscenes_writer.plan import SceneNames
 from generation.nuscenes_writer.rows import build_channels, build_scene_tables
 from generation.nuscenes_writer.scenes import encode_jpeg
@@ -40,6 +41,18 @@ def add_frozen_adversaries(frozen: FrozenScene, scene: Scene) -> Scene:
         rotation = changed.annotations.rotation
         rotation[agent, inside] = np.round(rotation[agent, inside], _ROTATION_DIGITS) + 0.0
     return changed
+
+
+def add_number(frozen: FrozenScene, number: SceneNumber | None) -> FrozenScene:
+    """The scene with its name and times in the tables."""
+    if number is None:
+        return frozen
+    return frozen.model_copy(update={"numbered": number.name, "shift_us": number.shift_us})
+
+
+def find_number(frozen: FrozenScene) -> SceneNumber | None:
+    """Name and times of a scene in the tables, if they are not those of older splits."""
+    return None if frozen.numbered is None else SceneNumber(frozen.numbered, frozen.shift_us or 0)
 
 
 def _find_vehicle(adversary: FrozenAdversary, scene: Scene) -> int:
@@ -141,10 +154,17 @@ def compute_tables_digest(plan: DataSetPlan, scene: Scene, frozen: FrozenScene) 
     """Hash, 64 hexadecimal digits, of key-frame tables without cameras, to a nanometre: the same in any layout."""
     like = replace(plan, split="adv", layout="suffixed", renderer=None, frames="keyframes")
     names = SceneNames.of(
-        like, scene, name=frozen.name, variant=0, source_scene=frozen.source, identity=frozen.identity
+        like,
+        scene,
+        name=frozen.name,
+        variant=0,
+        source_scene=frozen.source,
+        identity=frozen.identity,
+        number=find_number(frozen),
     )
+    timed = replace(scene, timestamps_us=scene.timestamps_us + (frozen.shift_us or 0))
     tables = build_scene_tables(
-        names, LabelVocabulary.of(plan.source), scene, build_channels((), {}), scene.keyframes.tolist()
+        names, LabelVocabulary.of(plan.source), timed, build_channels((), {}), scene.keyframes.tolist()
     )
     return content_key(round_numbers(tables, _NANOMETRE_DIGITS))
 

@@ -26,6 +26,7 @@ from benchmark.datasets.schema.values import (
     check_rates,
     check_sensors,
     check_shared,
+    check_tutorial,
 )
 from benchmark.datasets.tables import find_variant_folders, find_version_folders
 from benchmark.datasets.truth_facts import (
@@ -334,6 +335,7 @@ def _check(folder: Path, data_root: Path, categories: Mapping[str, str]) -> list
     check_sample_chains(tables, faults)
     check_rates(tables, faults)
     check_gaps(tables, faults)
+    check_tutorial(tables, faults)
     check_chains(tables, faults)
     check_shared(tables, faults)
     check_images(tables, faults)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.constants import VEHICLE_CATEGORIES
+from benchmark.datasets.scene_names import PROVENANCE, find_name_fault
 from benchmark.datasets.schema import FaultList
 from benchmark.datasets.schema.table_checks import CheckedTables, Row
 from benchmark.datasets.tables import find_splits_file
@@ -13,7 +14,6 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import read_json
 
 SPLITS: Final = "splits.json"
-PROVENANCE: Final = "challenger.json"
 
 
 def check_splits(folder: Path, root: Path, tables: CheckedTables, faults: FaultList) -> None:
@@ -45,6 +45,8 @@ def check_provenance(folder: Path, tables: CheckedTables, faults: FaultList) -> 
     if not isinstance(scenes, dict):
         faults.add("no scenes", PROVENANCE, "", f"{PROVENANCE} has no object named scenes")
         return
+    if wrong := find_name_fault(content):
+        faults.add("wrong names", PROVENANCE, "", wrong)
     by_name = {row["name"]: row for row in tables.having("scene", "name")}
     annotations = _by_instance(tables)
     for name, entry in sorted(scenes.items()):

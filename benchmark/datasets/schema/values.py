@@ -9,9 +9,11 @@ from itertools import pairwise
 from typing import Any, Final
 
 from benchmark.constants import LIDAR_NAME
+from benchmark.datasets.scene_names import is_devkit_name
 from benchmark.datasets.schema import FaultList
 from benchmark.datasets.schema.table_checks import CheckedTables, Row
 from benchmark.datasets.steps import LONGEST_KNOWN_US, STEP_US, find_irregular_interval_us, is_step
+from benchmark.report.words import pluralise
 
 
 def check_rates(tables: CheckedTables, faults: FaultList) -> None:
@@ -50,6 +52,30 @@ def check_gaps(tables: CheckedTables, faults: FaultList) -> None:
                 "and official protocols take the k-th following keyframe for step k"
             )
             faults.add("gaps between keyframes", "scene", scene["token"], sentence, severity="warning")
+
+
+def check_tutorial(tables: CheckedTables, faults: FaultList) -> None:
+    """Warn, once of each, of what calls of the devkit's tutorial fail at; nothing else needs it."""
+    names: defaultdict[int, list[str]] = defaultdict(list)
+    for scene, times_us in _times_of_scenes(tables):
+        for time_us in times_us[:1]:
+            names[time_us].append(scene["name"])
+    together = [scenes for scenes in names.values() if len(scenes) > 1]
+    if together:
+        sentence = (
+            f"{pluralise(sum(map(len, together)), 'scene')} begin at the same time as another, such as "
+            f"{' and '.join(sorted(together[0])[:2])}: the devkit's list_scenes() ends in a TypeError; scenes made "
+            "anew into another folder have times of their own"
+        )
+        faults.add("scenes that begin together", "scene", "", sentence, severity="warning")
+    odd = [row["name"] for row in tables.having("scene", "name") if not is_devkit_name(row["name"])]
+    if odd:
+        sentence = (
+            f"{pluralise(len(odd), 'name')} such as {odd[0]} {'is' if len(odd) == 1 else 'are'} not scene- and four "
+            "digits: the devkit's NuScenesCanBus and render_egoposes_on_fancy_map() fail there; scenes generated anew "
+            "into another folder have such names"
+        )
+        faults.add("scenes without a number", "scene", "", sentence, severity="warning")
 
 
 def _times_of_scenes(tables: CheckedTables) -> Iterator[tuple[Row, list[int]]]:

@@ -1,12 +1,13 @@
 """``challenge check``: an entry held to the recordings that it was made from and to the rules.
 
-Nothing that an entry says of itself is believed: who is changed, how, and what touches what is found in its tables and
-images, drivability from keyframes alone. Its own judgements and verdicts of inspectors are not read.
+Nothing that an entry says of itself is believed but by how much its scenes' times were moved: who is changed, how, and
+what touches what is found in its tables and images, drivability from keyframes alone. Its own judgements and verdicts
+of inspectors are not read.
 """
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from benchmark.constants import VERSION
 from benchmark.datasets.roots import DataSet
+from benchmark.datasets.scene_names import find_shift_us, resolve_names
 from benchmark.datasets.steps import require_two_hz
 from benchmark.dynamics.bicycle import compute_rear_axle
 from benchmark.errors import InputError, did_you_mean
@@ -165,6 +167,7 @@ def check_entry(
 def find_source_recordings(entry: DataSet, base: DataSet, names: Sequence[str] | None = None) -> dict[str, str]:
     """Recorded scene that each scene of an entry was made from, in its order; refused where none is known."""
     present = entry.scene_names(None)
+    names = None if names is None else resolve_names(entry.provenance(), names)
     for name in names or ():
         if name not in present:
             raise InputError(f"{entry.root} has no scene {name!r}; {did_you_mean(name, present)}it has {len(present)}")
@@ -244,13 +247,19 @@ class _SceneCheck:
 
     @classmethod
     def of(cls, entry: DataSet, base: DataSet, rules: ChallengeRules, name: str, source: str) -> "_SceneCheck":
+        shift_us = find_shift_us(entry.provenance(), name)
         scene, recorded = entry.scene(name), base.scene(source)
+        scene = replace(scene, timestamps_us=scene.timestamps_us - shift_us)
         require_two_hz(recorded, "the challenge")
         common = CommonKeyframes.common(scene, recorded)
         require_comparable(scene, recorded, common)
         known = match_objects(scene, recorded, common)
         changed_objects = find_changed_objects(scene, recorded, known, common, rules)
-        views = entry.videos(name, sweeps=False), base.videos(source, sweeps=False)
+        mine = {
+            camera: tuple(replace(view, timestamp_us=view.timestamp_us - shift_us) for view in of_camera)
+            for camera, of_camera in entry.videos(name, sweeps=False).items()
+        }
+        views = mine, base.videos(source, sweeps=False)
         return cls(entry, base, rules, scene, recorded, common, known, tuple(changed_objects), views, [])
 
     def result(self) -> CheckedScene:

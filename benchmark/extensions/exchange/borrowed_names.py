@@ -20,6 +20,7 @@ from benchmark.datasets.devkit_import import import_devkit_module
 from benchmark.datasets.map_layers import find_expansion_file
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.roots import DataSet
+from benchmark.datasets.scene_names import NAME, NUMBERED, SHIFT_US, find_can_bus_file, find_shift_us
 from benchmark.datasets.scene_tables import GROWING_TABLES, SceneTables
 from benchmark.datasets.schema import FaultList
 from benchmark.datasets.split_names import BORROWED_NAMES, compute_shifts_us
@@ -211,10 +212,10 @@ class _RootExport:
             "scenes": {
                 scene.scene: {
                     **({"adversaries": []} if self._facts[scene.name].adversaries == 0 else {}),
-                    **reports.get(scene.name, {}),
+                    **{key: value for key, value in reports.get(scene.name, {}).items() if key not in (NAME, NUMBERED)},
                     "source_scene": scene.source_scene,
                     "exported_from": scene.name,
-                    "shift_us": scene.shift_us,
+                    SHIFT_US: find_shift_us(self._made, scene.name) + scene.shift_us,
                 }
                 for scene in self.root.names
             },
@@ -279,7 +280,7 @@ class _RootExport:
 
     def _write_can_bus(self, folder: Path, scene: BorrowedName) -> None:
         for message in _CAN_MESSAGES:
-            path = self._data.root / "can_bus" / f"{scene.name}_{message}.json"
+            path = find_can_bus_file(self._data.root, scene.name, message)
             if not path.is_file():
                 continue
             content = read_json(path)

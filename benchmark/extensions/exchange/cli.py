@@ -81,6 +81,7 @@ def export_nuscenes_command(options: ExportOptions) -> None:
 
 def _scenes_to_export(options: ExportOptions) -> "tuple[DataSet, tuple[str, ...]]":
     """The data set and the scenes that are exported; what cannot be is refused before anything is built."""
+    from benchmark.datasets.scene_names import resolve_names
     from benchmark.machine.path_checks import require_place
 
     data, named, split = api.DataSource.of(options), parse_name_list(options.scenes), options.split
@@ -88,6 +89,7 @@ def _scenes_to_export(options: ExportOptions) -> "tuple[DataSet, tuple[str, ...]
     require_place(options.to, "--to")
     dataset = data.open() if split is None else data.open_split(split)
     known = dataset.scene_names(split)
+    named = None if named is None else resolve_names(dataset.provenance(), named)
     return dataset, tuple(name for name in known if named is None or name in named)[: options.limit]
 
 

@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple, Self
 import numpy as np
 
 from benchmark.constants import COMMAND_LATERAL_M, EGO_LENGTH_M, EGO_WHEELBASE_M, EGO_WIDTH_M, PLAN_STEP_S, PLAN_STEPS
+from benchmark.datasets.scene_names import find_can_bus_file, find_table_name_below, is_devkit_name
 from benchmark.datasets.schema.sidecar_files import CAN_BUS, CAN_BUS_POSE, require_records
 from benchmark.errors import InputError
 from benchmark.extensions.infos.frames import SensorFrame, compute_roll
@@ -17,8 +18,6 @@ from benchmark.geometry import Floats
 from benchmark.machine.storage import read_json
 from benchmark.untrusted.files import to_one_line
 
-OFFICIAL_NAME: Final = re.compile(r"scene-\d\d\d\d")
-"""Names of scenes that the devkit's reader takes."""
 _NUMBERED: Final = re.compile(r"scene-(\d{4})(?!\d)")
 _WITHOUT: Final = frozenset({*range(161, 169), *range(170, 177), *range(309, 315)})
 """Numbers of scenes whose messages the devkit does not hand out."""
@@ -50,14 +49,15 @@ class ConverterCanMessages:
     @classmethod
     def read(cls, root: Path, scene: str, *, as_converted: bool) -> Self:
         """Read both files of a scene; ``as_converted``, names but ``scene-dddd`` have none, as for the devkit."""
+        scene = find_table_name_below(root, scene)
         number = _NUMBERED.match(scene)
         hidden = number is not None and int(number[1]) in _WITHOUT
-        if hidden or (as_converted and not OFFICIAL_NAME.fullmatch(scene)):
+        if hidden or (as_converted and not is_devkit_name(scene)):
             return cls((), ())
         kinds = {**CAN_BUS, "pose": {**CAN_BUS["pose"], **CAN_BUS_POSE}}
         message_lists = []
         for kind in ("pose", "steeranglefeedback"):
-            path = _find_messages(root, scene, kind)
+            path = find_can_bus_file(root, scene, kind)
             messages = read_json(path) if path.is_file() else []
             message_lists.append(require_records(path, "message", messages, kinds[kind]))
         return cls(*message_lists)
@@ -103,11 +103,7 @@ def _find_nearest(messages: Sequence[Message], time_us: int) -> Message:
 
 def has_can_bus(root: Path, scene: str) -> bool:
     """Whether a root has messages of a scene's pose."""
-    return _find_messages(root, scene, "pose").is_file()
-
-
-def _find_messages(root: Path, scene: str, kind: str) -> Path:
-    return root / "can_bus" / f"{scene}_{kind}.json"
+    return find_can_bus_file(root, scene, "pose").is_file()
 
 
 HISTORY_STEPS: Final = 2

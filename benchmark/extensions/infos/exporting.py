@@ -9,6 +9,7 @@ from typing import Final
 import shapely
 
 from benchmark.datasets.map_layers import find_expansion_file, read_road_map
+from benchmark.datasets.scene_names import find_table_name_below, is_devkit_name
 from benchmark.datasets.schema import FaultList, StrictFaultList
 from benchmark.datasets.split_names import compute_shifts_us, find_default_split, read_splits, select_scenes
 from benchmark.datasets.tables import find_variant_folders, find_version
@@ -16,7 +17,6 @@ from benchmark.errors import InputError
 from benchmark.extensions.infos import repairs
 from benchmark.extensions.infos.boxes import SceneBoxes
 from benchmark.extensions.infos.ego_trajectory import (
-    OFFICIAL_NAME,
     ConverterCanMessages,
     EgoTrajectory,
     has_can_bus,
@@ -181,7 +181,8 @@ class _InfoConverter:
 
     def _list_value_differences(self, names: Sequence[str]) -> list[repairs.ConverterDifference]:
         """Values of scenes that the converter gets wrong: the motion of suffixed names, the numbers of categories."""
-        refused = {name for name in names if not OFFICIAL_NAME.fullmatch(name) and has_can_bus(self.root, name)}
+        rows = {name: find_table_name_below(self.root, name) for name in names}
+        refused = {name for name in names if not is_devkit_name(rows[name]) and has_can_bus(self.root, name)}
         differences = [repairs.describe_can_bus_names(self.reader, refused)] if refused else []
         if self.reader.name == "vad":
             differences += repairs.describe_category_numbers(self.tables.category_numbers)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.datasets.can_bus import CanMessages
+from benchmark.datasets.scene_names import find_can_bus_file
 from benchmark.datasets.schema.sidecar_files import CAN_BUS, CAN_BUS_POSE
 from benchmark.datasets.schema.tables import ValueKind
 from benchmark.errors import InputError
@@ -187,11 +188,11 @@ def read_recording(scene: Scene, root: Path, switches: NeuroncapSwitches) -> Neu
 
 def has_can_bus(scene: str, root: Path) -> bool:
     """Whether a data set has the CAN bus messages of a scene that the engine reads."""
-    return all((root / "can_bus" / f"{scene}_{message}.json").is_file() for message in ("pose", "zoe_veh_info"))
+    return all(find_can_bus_file(root, scene, message).is_file() for message in ("pose", "zoe_veh_info"))
 
 
 def _read_messages(root: Path, scene: str, message: str, fields: dict[str, ValueKind]) -> CanMessages:
-    path = root / "can_bus" / f"{scene}_{message}.json"
+    path = find_can_bus_file(root, scene, message)
     messages = CanMessages.read(path, fields)
     if messages is None:
         raise InputError(

@@ -99,11 +99,12 @@ def _show_page(
     *,
     browser: bool,
 ) -> None:
+    from benchmark.datasets.scene_names import resolve_names
     from benchmark.extensions.review.inspection import Inspection, draw_scenes_to_inspect
     from benchmark.extensions.review.server import ReviewServer
 
     limit, sample, seed = drawn
-    known = dataset.review(split).present
+    known, named = dataset.review(split).present, resolve_names(dataset.provenance(), named or ()) or None
     unknown = sorted(set(named or ()) - set(known))
     if unknown:
         raise InputError(f"{dataset.root} has no scene {unknown[0]}; it has {', '.join(known[:3])} ...")

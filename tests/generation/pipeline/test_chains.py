@@ -96,7 +96,7 @@ def test_only_the_most_challenging_next_adversary_is_kept(built: Path) -> None:
 
 
 def test_the_data_set_says_who_the_adversaries_are(built: Path) -> None:
-    said = json.loads((built / "v1.0-mini" / "challenger.json").read_text())["scenes"]
+    said = (open_data(built).provenance() or {})["scenes"]
     rows = rows_of(built)
     for name, entry in said.items():
         assert len(entry["adversaries"]) == 2

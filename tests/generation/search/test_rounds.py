@@ -90,7 +90,7 @@ def test_of_several_adversaries_the_last_ones_search_is_kept(source: DataSet, tm
     root = tmp_path / "adv"
     build_split(source, "adv", replace(CHEAP, out=root, adversaries=2, total=1, keep_rounds=True))
     (stored,) = shown(root, tmp_path / "sheets")
-    made = json.loads((root / "v1.0-mini/challenger.json").read_text())["scenes"][stored.sheet.scene]
+    made = (open_data(root).provenance() or {})["scenes"][stored.sheet.scene]
     last = made["report"]["adversaries"][-1]
     assert rounds_of(stored).agent in made["adversaries"]
     assert rounds_of(stored).frames[0].frame == last["launch_frame"]

@@ -95,7 +95,8 @@ def test_the_file_is_small_holds_nothing_of_the_recordings_and_is_frozen_again_t
     text = (folder / "road-adv-1.json").read_text()
     assert len(text) / len(split.frozen.scenes) < 8_000
     for frozen in split.frozen.scenes:
-        assert frozen.model_dump().keys() == {"name", "source", "adversaries", "tables", "images"}
+        fields = {"name", "source", "adversaries", "tables", "images", "numbered", "shift_us"}
+        assert frozen.model_dump().keys() == fields
     assert split.frozen.recordings.name and split.frozen.search.seed == 0
     assert split.frozen.chosen.scenes == 2
     before = contents(folder / "searched")
