@@ -29,6 +29,7 @@ class VerifyOptions:
             "drivers",
             "severity",
             "realism",
+            "hub",
             "model",
         ],
         Option("What to compare.", names=""),

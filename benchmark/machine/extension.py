@@ -79,6 +79,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "severity": "benchmark.extensions.golden_sets.severity:GOLDEN",
         "realism": "benchmark.extensions.golden_sets.realism:GOLDEN",
         "infos": "benchmark.extensions.infos.verification:GOLDEN",
+        "hub": "benchmark.extensions.cards.hub_verification:GOLDEN",
         "neuroncap": "benchmark.extensions.neuroncap.verification:GOLDEN",
         "model": "adapters.extensions.golden_sets.models:verify_model",
     },
