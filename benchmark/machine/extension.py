@@ -22,6 +22,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "challenge": "benchmark.extensions.challenge.cli:app",
         "data export scenarionet": "benchmark.extensions.exchange.cli:export_scenarionet_command",
         "data export openscenario": "benchmark.extensions.exchange.cli:export_openscenario_command",
+        "data export mcap": "benchmark.extensions.mcap.cli:export_mcap_command",
         "data export infos": "benchmark.extensions.infos.cli:export_infos_command",
         "film": "leaderboard.extensions.films.cli:film_command",
         "serve": "benchmark.extensions.http.cli:serve_command",

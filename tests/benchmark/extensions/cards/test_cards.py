@@ -153,10 +153,8 @@ def test_the_town_is_free_recordings_are_not_and_the_same_bytes_come_twice(tmp_p
 
 @pytest.mark.usefixtures("without_parquet")
 def test_a_data_set_is_called_by_its_frozen_split_and_never_by_a_folder_of_the_cache(tmp_path: Path) -> None:
-    class Cached(FakeData):
-        name = "boston-0123456789ab"
-
-    for data, name in ((Made(town_of_two().scenes), "road-adv-1"), (Cached(town_of_two().scenes), "boston")):
+    cached = FakeData(town_of_two().scenes, name="boston-0123456789ab")
+    for data, name in ((Made(town_of_two().scenes), "road-adv-1"), (cached, "boston")):
         write_data_card(data, tmp_path / name)
         assert head_of((tmp_path / name / "README.md").read_text())["pretty_name"] == name
         assert len(json.loads((tmp_path / name / "croissant.json").read_text())["datePublished"]) == 10
