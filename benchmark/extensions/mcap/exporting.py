@@ -25,7 +25,7 @@ from benchmark.scene import Scene
 
 LAYOUT_FILE: Final = "layout.json"
 ImageChoice = Literal["keyframes", "all", "none"]
-_BYTES_OF_A_BOX: Final = 11
+_BYTES_OF_A_BOX: Final = 14
 _BYTES_OF_A_PLAN: Final = 450
 _BYTES_OF_A_FRAME: Final = 260
 """Compressed, measured on nuScenes and the town; what `estimate_bytes` multiplies."""
