@@ -162,7 +162,7 @@ def _select(
     records: Sequence[RunRecord], drives: Sequence[DriveRecord], name: str
 ) -> list[tuple[str, RunRecord | DriveRecord]]:
     """Records of a frozen split, else of a data set, each with the planner's name that tells its version apart."""
-    every = [*records, *drives]
+    every: list[RunRecord | DriveRecord] = [*records, *drives]
     chosen = [record for record in every if _facts(record).frozen_split == name]
     chosen = chosen or [record for record in every if _facts(record).data.name == name]
     if not chosen:

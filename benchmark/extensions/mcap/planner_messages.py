@@ -159,7 +159,7 @@ def add_drive(timeline: Timeline, make: Primitives, scene: Scene, planner: str, 
         pose = make.planar_pose(x, y, height, yaw)
         sent = make.messages.PoseInFrame(timestamp=make.time(time_us), frame_id=MAP, pose=pose)
         timeline.add(time_us, topic, sent)
-        moved = make.transform(time_us, MAP, frame, np.array([x, y, height]), quaternion_from_yaw(np.float64(yaw)))
+        moved = make.transform(time_us, MAP, frame, np.array([x, y, height]), quaternion_from_yaw(np.array(yaw)))
         timeline.add(time_us, "/tf", make.messages.FrameTransforms(transforms=[moved]))
         state_now = {"speed": speed, "acceleration": acceleration, "yaw_rate": yaw_rate, "wheel_angle": angle}
         timeline.add(time_us, steps, {"planner": planner, **state_now})

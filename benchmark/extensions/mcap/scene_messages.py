@@ -149,7 +149,10 @@ def _add_adversaries(timeline: Timeline, make: Primitives, scene: Scene, start: 
             continue
         words = f"adversary: {facts.manoeuvre or 'vehicle'}"
         for time_us in times:
-            parts = {"lines": [make.line(track, colour, 0.3)], "texts": [make.text(words, track[0], colour)]}
+            parts: dict[str, Any] = {
+                "lines": [make.line(track, colour, 0.3)],
+                "texts": [make.text(words, track[0], colour)],
+            }
             timeline.add(time_us, ADVERSARY_TOPIC, make.update([make.entity(time_us, f"track {name}", **parts)]))
         if launch is not None:
             timeline.add(times[-1], "/log", make.log(times[-1], "Info", f"{words} takes over ({name})", "scene"))

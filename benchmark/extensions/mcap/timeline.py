@@ -98,7 +98,7 @@ class Primitives:
 
     def planar_pose(self, x: float, y: float, z: float, yaw: float) -> Any:
         """On the ground."""
-        return self.pose(np.array([x, y, z]), quaternion_from_yaw(np.float64(yaw)))
+        return self.pose(np.array([x, y, z]), quaternion_from_yaw(np.array(yaw)))
 
     def vector(self, values: Floats) -> Any:
         """(3,)."""
