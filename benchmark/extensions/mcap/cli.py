@@ -53,9 +53,8 @@ def export_mcap_command(options: McapOptions) -> None:
     require_place(options.to, "--to")
     require_folder(options.drives, "--drives")
     if options.dry_run and preview is not None and preview.builds:
-        print_result(
-            {"files": []}, f"split {split} would be built first; its files have no size yet", json_output=False
-        )
+        text = f"split {split} would be built first; its files have no size yet"
+        print_result({"files": None}, text, json_output=options.json_output)
         return
     records, drives = _read_plans(options), _read_drives(options)
     from benchmark.extensions.mcap.exporting import McapContents, estimate_bytes, export_mcap

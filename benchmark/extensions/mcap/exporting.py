@@ -81,6 +81,9 @@ def export_mcap(
     if not names:
         raise InputError("there is no scene to export; name one with --scenes, or leave --scenes and --limit out")
     contents = contents or McapContents()
+    for recorded in ([each.planner for each in contents.records], [each.planner for each in contents.drives]):
+        if twice := next((planner for planner in recorded if recorded.count(planner) > 1), None):
+            raise InputError(f"there are two records of {twice!r}, which would share topics; name the folder of one")
     with lock_folder(to):
         write = partial(_write, dataset, to, contents)
         written = list(
@@ -152,7 +155,7 @@ def _describe(
         "content": dataset.fingerprint(),
         "generator": f"challenger-bench {VERSION}",
         "coordinate_frame": f"{MAP}: metres, x forward and y left of the map's south-west corner",
-        "licence": "that of the recordings; nuScenes is CC BY-NC-SA 4.0",
+        "licence": "that of what the scene was made from; nuScenes' recordings are CC BY-NC-SA 4.0",
     }
     return {name: value for name, value in stated.items() if value}
 

@@ -278,6 +278,9 @@ def test_what_cannot_be_shown_is_one_sentence_and_no_file(town: Town, tmp_path: 
     late = replace(plans(scene), rows=[_later(each) for each in plans(scene).rows])
     with pytest.raises(InputError, match="at another time than the data set"):
         export_mcap(town, [NAME], tmp_path / "to", McapContents((late,)))
+    drive = driven(scene)
+    with pytest.raises(InputError, match="two records of 'straight'"):
+        export_mcap(town, [NAME], tmp_path / "to", McapContents((), (drive, drive)))
     first = next(iter(town.pictures.values()))[0].path
     first.unlink()
     with pytest.raises(InputError, match=r"is missing; complete the data set"):
