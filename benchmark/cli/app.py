@@ -162,6 +162,7 @@ _GROUPS: Final[Groups] = {
     "leaderboard": show.leaderboard_app,
 }
 # In the order in which help lists them.
+add_command_of_extension("data export mcap", _GROUPS)
 add_command_of_extension("data export infos", _GROUPS)
 add_command_of_extension("data export scenarionet", _GROUPS)
 add_command_of_extension("data export openscenario", _GROUPS)

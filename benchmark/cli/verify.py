@@ -30,6 +30,7 @@ class VerifyOptions:
             "severity",
             "realism",
             "fault",
+            "hub",
             "model",
         ],
         Option("What to compare.", names=""),

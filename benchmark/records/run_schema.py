@@ -61,6 +61,26 @@ class PlannerFacts(Stored):
     wants: list[PlannerInput] = Field(default_factory=list)
 
 
+BASELINES: Final = frozenset(
+    (
+        "constant-velocity",
+        "constant-velocity-on-path",
+        "ego-status",
+        "idm",
+        "log-replay",
+        "noisy-log",
+        "noisy-log-published",
+        "stop",
+    )
+)
+"""Planners that show what numbers mean and are no candidates; tests compare them with the planners of `adapters`."""
+
+
+def is_baseline(planner: PlannerFacts) -> bool:
+    """Whether a planner is a reference: a baseline of ours, or one that sees what no car sees."""
+    return planner.privileged or planner.name in BASELINES
+
+
 LABELS: Final = {"native_protocol", "published_as", "miniature", "wants"}
 """Labels of a planner that do not affect its plans."""
 

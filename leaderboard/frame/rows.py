@@ -8,7 +8,7 @@ from benchmark.metrics.scores import find_protocol_version, map_scenes_to_source
 from benchmark.records.planner_versions import list_file_notes
 from benchmark.records.review import NOT_REVIEWED, describe_review
 from benchmark.records.run import NATIVE, RunRecord
-from benchmark.records.run_schema import PlannerFacts, RecordFacts
+from benchmark.records.run_schema import RecordFacts
 from benchmark.records.seed_splits import is_adversarial
 from benchmark.report.cells import MINIATURE_MARK, MINIATURE_WORDS, TableCell
 from benchmark.report.words import pluralise
@@ -24,19 +24,6 @@ OLDER_WORDS = (
     "free of contacts until you run challenger-bench rescore"
 )
 MINIATURE_NOTE = f"{MINIATURE_WORDS} (docs/miniatures.md)."
-BASELINES: Final = frozenset(
-    (
-        "constant-velocity",
-        "constant-velocity-on-path",
-        "ego-status",
-        "idm",
-        "log-replay",
-        "noisy-log",
-        "noisy-log-published",
-        "stop",
-    )
-)
-"""Planners that show what numbers mean and are no candidates; tests compare them with the planners of `adapters`."""
 OFF_SCALE: Final = "stop"
 """It is hit wherever it stands: figures whose axis had to reach it would show nothing of the others."""
 FEW_SCENES = 20
@@ -76,11 +63,6 @@ class PlannerFlags(Protocol):
     @property
     def miniature(self) -> bool:
         """Whether it is a miniature, which is not for ranking."""
-
-
-def is_baseline(planner: PlannerFacts) -> bool:
-    """Whether a planner is a reference: a baseline of ours, or one that sees what no car sees."""
-    return planner.privileged or planner.name in BASELINES
 
 
 def name_cell(planner: str, facts: PlannerFlags) -> TableCell:

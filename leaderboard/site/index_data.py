@@ -13,12 +13,13 @@ from benchmark.metrics.disagreement import EXACT
 from benchmark.records.driving import PDM
 from benchmark.records.planner_versions import list_file_notes
 from benchmark.records.run import RunRecord
+from benchmark.records.run_schema import is_baseline
 from benchmark.records.scene_pages import ScenePages
 from benchmark.report.cells import MINIATURE_WORDS
 from benchmark.report.table import Table
 from benchmark.report.words import ABBREVIATIONS, pluralise
 from leaderboard.frame.results import LeaderboardResults
-from leaderboard.frame.rows import count_recordings, is_baseline, name_cell, sort_for_tables
+from leaderboard.frame.rows import count_recordings, name_cell, sort_for_tables
 from leaderboard.frame.runs import DataSetRuns
 from leaderboard.page.sections import find_kind, find_tab
 from leaderboard.site.drive_data import build_drive_index

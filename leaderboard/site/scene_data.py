@@ -35,6 +35,7 @@ from benchmark.geometry import Floats, box_gap
 from benchmark.metrics.effect import attributes_contacts
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord
+from benchmark.records.run_schema import is_baseline
 from benchmark.records.scene_pages import (
     PageAgent,
     PageMap,
@@ -48,7 +49,7 @@ from benchmark.report.birdseye import BirdseyeScene
 from benchmark.report.palette import ON_DARK, ON_LIGHT, GroundColours
 from benchmark.report.placement import agent_box, ego_box
 from benchmark.waypoints import points_in_ego
-from leaderboard.frame.rows import is_baseline, sort_for_tables
+from leaderboard.frame.rows import sort_for_tables
 from leaderboard.site.packing import CENTIMETRE, encode_script, pack_path, pack_poses
 from leaderboard.site.scene_facts import SceneName, scene_key
 from leaderboard.site.scene_plans import build_planner_samples, list_differing, list_distances

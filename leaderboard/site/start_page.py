@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from benchmark.records.run import RunRecord
+from benchmark.records.run_schema import is_baseline
 from benchmark.report.words import pluralise
-from leaderboard.frame.rows import is_baseline
 from leaderboard.site.scene_words import address, count_marks
 
 _SPLITS: Final = {

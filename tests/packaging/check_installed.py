@@ -17,7 +17,9 @@ from pathlib import Path
 from typing import Any
 
 COMMAND = Path(sys.executable).parent / "challenger-bench"
-OF_EXTRAS = ("ray", "casadi", "diffusers", "transformers", "sentencepiece", "av", "uvicorn", "starlette", "httpx2")
+OF_EXTRAS = (
+    "ray", "casadi", "diffusers", "transformers", "sentencepiece", "av", "uvicorn", "starlette", "httpx2", "foxglove",
+)  # fmt: skip
 GOLDEN = ("physics", "scoring", "denoiser", "protocols", "pdm", "neuroncap", "drivers", "severity", "realism", "fault")
 TINY = ("--town-scenes", "1", "--size", "96x54", "--frames", "keyframes")
 

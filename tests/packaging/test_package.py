@@ -13,7 +13,10 @@ from tests.packaging.contents import PACKAGES, ROOT, files_of_packages
 from tests.test_layers import imports
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-MODULE_OF = {"nuscenes-devkit": "nuscenes", "opencv-python-headless": "cv2", "pyyaml": "yaml", "pillow": "PIL"}
+MODULE_OF = {
+    "nuscenes-devkit": "nuscenes", "opencv-python-headless": "cv2", "pyyaml": "yaml", "pillow": "PIL",
+    "foxglove-sdk": "foxglove",
+}  # fmt: skip
 BROUGHT_BY_OTHERS = {
     "huggingface_hub": "transformers and diffusers need it; `weights fetch` says so where it is missing"
 }

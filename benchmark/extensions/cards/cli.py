@@ -67,6 +67,9 @@ class RecordsCardOptions:
     url: UrlOption = None
     published: PublishedOption = None
     creator: CreatorOption = None
+    hub: Annotated[
+        str | None, Option("Also write results for this data set on a hub, ORG/NAME; nothing is uploaded.", "Output")
+    ] = None
     out: shared.Out = api.OUT
     records: shared.Records = None
     json_output: shared.Json = False
@@ -103,5 +106,7 @@ def _print_card(
             "warning: the licence of the card is undecided; set it with --licence (data derived from "
             "recordings stays under their terms)"
         )
+    for sentence in written.left_out:
+        api.notify(f"not for the hub: {sentence}")
     text = f"{pluralise(written.rows, rows)} in {written.files[1]}, beside {written.files[0].name} for a hub"
     print_result(written.as_json(), text, json_output=json_output)

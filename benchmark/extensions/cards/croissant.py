@@ -129,7 +129,7 @@ class DataSetDescription:
     description: str
     licence: str
     url: str | None
-    published: str | None
+    published: str
     version: str
     cite: str
     creator: str | None
@@ -166,7 +166,6 @@ def build_croissant(said: DataSetDescription, index: Path, rows: str, columns: S
     optional = {
         "url": said.url,
         "license": None if said.licence == UNKNOWN else find_licence_page(said.licence),
-        "datePublished": said.published,
         "creator": None if said.creator is None else {"@type": "sc:Organization", "name": said.creator},
     }
     return {
@@ -176,6 +175,7 @@ def build_croissant(said: DataSetDescription, index: Path, rows: str, columns: S
         "name": said.name,
         "description": said.description,
         "version": said.version,
+        "datePublished": said.published,
         "citeAs": said.cite,
         "keywords": list(said.keywords),
         "isLiveDataset": False,

@@ -1,5 +1,6 @@
 """The card of a data set (content, origin, permitted use, what it may not show), and an index with one row a scene."""
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -29,6 +30,7 @@ from benchmark.extensions.cards.writing import (
     write_card,
 )
 from benchmark.records.attempts import list_stored_labels
+from benchmark.records.seed_splits import is_adversarial
 from benchmark.report.table import escape_markdown
 from benchmark.report.words import pluralise
 
@@ -138,6 +140,7 @@ def _compute_table_values(scene: "Scene") -> dict[str, Any]:
 INDEX_FILE: Final = "scenes.parquet"
 TAGS: Final = ("autonomous-driving", "nuscenes", "motion-planning", "trajectories")
 _SHORT_HASH: Final = 12
+_OF_CACHE: Final = re.compile(r"-[0-9a-f]{12}$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,17 +235,27 @@ def _describe_data_set(
         f"{origin.collected} {origin.pictures}"
     )
     return DataSetDescription(
-        name=settings.title or data.name,
+        name=settings.title or _name_data_set(data),
         description=description,
         licence=licence,
         url=settings.url,
-        published=settings.published,
+        published=settings.day,
         version=f"1.0.0+{data.fingerprint()[:_SHORT_HASH]}",
         cite=CITE,
         creator=settings.creator,
         keywords=TAGS,
         responsible=_build_responsible_ai(rows, origin),
     )
+
+
+def _name_data_set(data: "DataSet") -> str:
+    """A name for people: the frozen split's, else the folder's without the hash that folders of the cache end in."""
+    provenance = data.provenance() or {}
+    name = find_frozen_split(provenance) or _OF_CACHE.sub("", data.name)
+    source = provenance.get("source")
+    if is_adversarial(name) and isinstance(source, dict) and source.get("name"):
+        return f"{str(source['name'])[:80]} {name}"
+    return name[:200]
 
 
 def _build_responsible_ai(

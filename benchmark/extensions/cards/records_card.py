@@ -1,6 +1,7 @@
 """The card of results: every rate of run records and of drives as one row, with what it was measured by and on."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,6 +15,7 @@ from benchmark.extensions.cards.croissant import (
     format_column_rows,
     parse_licence,
 )
+from benchmark.extensions.cards.hub_results import build_hub_files, require_own_files
 from benchmark.extensions.cards.writing import (
     CITE,
     CROISSANT_FILE,
@@ -22,7 +24,7 @@ from benchmark.extensions.cards.writing import (
     format_footer,
     write_card,
 )
-from benchmark.machine.storage import content_key
+from benchmark.machine.storage import content_key, write_bytes
 from benchmark.metrics.rates import Rate
 from benchmark.records.drives import DriveRecord, compute_columns
 from benchmark.records.run import RunRecord
@@ -83,7 +85,7 @@ def rate_rows(records: Sequence[RunRecord], drives: Sequence[DriveRecord]) -> It
 def write_records_card(
     records: Sequence[RunRecord], drives: Sequence[DriveRecord], to: Path, settings: CardSettings | None = None
 ) -> WrittenCard:
-    """Write ``README.md``, ``rates.parquet`` and ``croissant.json`` of results.
+    """Write ``README.md``, ``rates.parquet`` and ``croissant.json`` of results, and with ``settings.hub`` files for it.
 
     Args:
         records: Of planning.
@@ -95,7 +97,7 @@ def write_records_card(
         The written files.
 
     Raises:
-        InputError: If there are no records or the folder cannot be written.
+        InputError: If there are no records, none of what ``settings.hub`` names, or the folder cannot be written.
     """
     settings = settings or CardSettings()
     rows = list(rate_rows(records, drives))
@@ -111,7 +113,7 @@ def write_records_card(
         description=description,
         licence=parse_licence(settings.licence),
         url=settings.url,
-        published=settings.published,
+        published=settings.day,
         version=f"1.0.0+{content_key(sorted({row['record'] for row in rows}))[:12]}",
         cite=CITE,
         creator=settings.creator,
@@ -119,7 +121,15 @@ def write_records_card(
         responsible=_build_responsible_ai(records, drives),
     )
     page = _format_page(card_description, records, drives)
-    return write_card(to, card_description, page, INDEX_FILE, "rates", RATE_COLUMNS, rows, TAGS)
+    hub = None if settings.hub is None else build_hub_files(records, drives, settings, (INDEX_FILE,))
+    if hub is not None:
+        require_own_files(to, hub.files)
+    written = write_card(to, card_description, page, INDEX_FILE, "rates", RATE_COLUMNS, rows, TAGS)
+    if hub is None:
+        return written
+    for place, data in hub.files.items():
+        write_bytes(to / place, data)
+    return replace(written, files=(*written.files, *(to / place for place in hub.files)), left_out=hub.left_out)
 
 
 def _planner_columns(facts: Any, content_id: str) -> dict[str, Any]:

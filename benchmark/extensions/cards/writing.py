@@ -4,7 +4,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import date
+from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import Any, Final
 
@@ -45,6 +45,7 @@ CROISSANT_FILE: Final = "croissant.json"
 CITE: Final = f'Zhiyuan Xu, Bohan Li, Huan-ang Gao, et al. "{PAPER}", 2025. https://pixtella.github.io/Challenger/'
 _OURS: Final = "Card written by challenger-bench"
 _TITLE: Final = re.compile(r"[^\n\r]{1,200}")
+_HUB: Final = re.compile(r"[A-Za-z0-9][\w.-]{0,95}/[A-Za-z0-9][\w.-]{0,95}", re.ASCII)
 _ADDRESS: Final = re.compile(r"https?://[^\s\"<>]{1,2000}")
 
 
@@ -56,8 +57,9 @@ class CardSettings:
         title: Public name; the data set's own name if none is given.
         licence: Identifier of its licence; ``None`` where that is not decided.
         url: Where it will be published.
-        published: Day of publication, ``YYYY-MM-DD``.
+        published: Day of publication, ``YYYY-MM-DD``; the day of writing where none is given.
         creator: Publisher.
+        hub: Data set on a hub, ``ORG/NAME``, for which results are written too; of cards of results alone.
     """
 
     title: str | None = None
@@ -65,6 +67,7 @@ class CardSettings:
     url: str | None = None
     published: str | None = None
     creator: str | None = None
+    hub: str | None = None
 
     def __post_init__(self) -> None:
         parse_licence(self.licence)
@@ -78,14 +81,22 @@ class CardSettings:
                 date.fromisoformat(self.published)
             except ValueError as wrong:
                 raise InputError(f"--published must be a day such as 2026-01-31, got {self.published!r}") from wrong
+        if self.hub is not None and not _HUB.fullmatch(self.hub):
+            raise InputError(f"--hub must be ORG/NAME, such as my-lab/mini-adv-3, got {self.hub[:80]!r}")
+
+    @property
+    def day(self) -> str:
+        """Day of publication, or today."""
+        return self.published or datetime.now(UTC).date().isoformat()
 
 
 @dataclass(frozen=True, slots=True)
 class WrittenCard:
-    """Written files of a card, and the number of rows of its index."""
+    """Written files of a card, the number of rows of its index, and why records are no results for a hub."""
 
     files: tuple[Path, ...]
     rows: int
+    left_out: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """For machines."""

@@ -197,6 +197,11 @@ _OF_EXTENSIONS: dict[str, tuple[tuple[str, str], ...]] = {
         ("verify infos", "needs --golden"),
         ("verify infos --golden {empty}", "has no manifest"),
     ),
+    "benchmark.extensions.cards": (
+        (f"leaderboard card --to {{new}}/to --hub mini --records {{empty}} {_OUT}", "--hub must be ORG/NAME"),
+        ("verify hub", "needs --golden"),
+        ("verify hub --golden {empty}", "has no expected.json"),
+    ),
     "benchmark.extensions.exchange": (
         (f"data export scenarionet {{new}} --to {{new}}/to {_OUT}", "there is no folder"),
         (f"data export scenarionet mini --scenes scene-1 --to {{new}}/to {_OUT}", "scene-1"),

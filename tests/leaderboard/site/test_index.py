@@ -19,14 +19,13 @@ from benchmark.machine.storage import content_key, write_bytes
 from benchmark.metrics.attacks import collect_scene_attacks, has_adversaries, select_counted_rows
 from benchmark.metrics.effect import find_first_contacts, find_touched_scenes
 from benchmark.records.run import RunRecord
-from benchmark.records.run_schema import SceneFacts
+from benchmark.records.run_schema import BASELINES, SceneFacts
 from benchmark.records.scene_assessment import DRIVER_NAMES
 from benchmark.records.scene_pages import NO_SCENE_PAGES, ScenePages, StoredScenePage
 from benchmark.report.palette import ADVERSARY, PLANNERS_ON_DARK, PLANNERS_ON_LIGHT, format_hexadecimal
 from benchmark.report.table import Table
 from leaderboard.build import find_stale_files, write_leaderboard
 from leaderboard.frame.results import LeaderboardResults, read_results
-from leaderboard.frame.rows import BASELINES
 from leaderboard.frame.runs import DataSetRuns
 from leaderboard.page.sections import TABS
 from leaderboard.site.index_data import PlacedTable, build_index, build_main_tables

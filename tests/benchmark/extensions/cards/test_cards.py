@@ -169,6 +169,15 @@ def test_borrowed_names_are_said_to_be_so(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("without_parquet")
+def test_a_data_set_is_called_by_its_frozen_split_and_never_by_a_folder_of_the_cache(tmp_path: Path) -> None:
+    cached = FakeData(town_of_two().scenes, name="boston-0123456789ab")
+    for data, name in ((Made(town_of_two().scenes), "road-adv-1"), (cached, "boston")):
+        write_data_card(data, tmp_path / name)
+        assert head_of((tmp_path / name / "README.md").read_text())["pretty_name"] == name
+        assert len(json.loads((tmp_path / name / "croissant.json").read_text())["datePublished"]) == 10
+
+
+@pytest.mark.usefixtures("without_parquet")
 def test_results_are_a_card_too(tmp_path: Path) -> None:
     written = write_records_card(records(), drives(), tmp_path, CardSettings(licence="my-own-terms"))
     page = (tmp_path / "README.md").read_text()

@@ -1,0 +1,1 @@
+"""Scenes as MCAP files for Foxglove and Lichtblick (docs/extensions/mcap.md)."""
