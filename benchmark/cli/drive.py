@@ -22,7 +22,7 @@ from benchmark.cli.output import (
     warn_of_caveats,
 )
 from benchmark.cli.settings import Option, command, take_options
-from benchmark.cli.splits import choose_splits
+from benchmark.cli.splits import ChosenSplits, choose_splits
 from benchmark.errors import InputError
 from benchmark.report.words import format_options
 
@@ -54,7 +54,7 @@ class DriveOptions:
     )
 
     model: shared.Models = ()
-    split: shared.Split = "adv"
+    split: shared.Splits = ("adv",)
     data: shared.Data = "mini"
     scenes: shared.Scenes = None
     limit: shared.Limit = None
@@ -73,10 +73,18 @@ class DriveOptions:
         Literal["default", "neuroncap@code", "neuroncap@paper"],
         Option("Who drives the plans (docs/closed-loop.md).", "Search", offers=("engine", ("default",))),
     ] = "default"
+    window: Annotated[
+        Literal["encounter", "scene"] | None,
+        Option("Of adversarial scenes: from 3 s before the adversary departs (the default), or all.", "Search"),
+    ] = None
     agents: Annotated[
-        Literal["replay", "idm", "adversary"],
-        Option("The others: their tracks, keeping distance, or one of them challenges the ego.", "Search"),
-    ] = "replay"
+        Literal["replay", "idm", "adversary"] | None,
+        Option(
+            "The others: their tracks, keeping distance (adversaries do not; default of adversarial scenes), or one of "
+            "them challenges the ego.",
+            "Search",
+        ),
+    ] = None
     adversary_knows: Annotated[
         Literal["plan", "motion", "nothing"],
         Option("adversary: expects that the ego drives its plan, keeps its motion, or stays.", "Search"),
@@ -156,14 +164,16 @@ def drive_command(options: DriveOptions) -> None:
         require_one_device(options.device, "a Ray cluster assigns GPUs to its tasks")
     place = make_executor(options.executor, options.address, count_workers(options.workers, options.device))
     data, scenes = api.DataSource.of(options), parse_name_list(options.scenes)
-    taken = choose_splits(data, [options.split], scenes, options.limit)
-    ((split, ahead),) = taken.ahead.items()
-    options = replace(options, split=split)
+    taken = _choose_splits(data, options, scenes)
     require_place(options.out, "--out")
     taken.say()
-    if options.dry_run and ahead.builds:
-        next_step = f"drive {', '.join(names)} through {ahead.counted()} of {options.split}"
-        print_plan(ahead.plan(next_step), json_output=options.json_output)
+    building = {split: ahead for split, ahead in taken.ahead.items() if ahead.builds}
+    if options.dry_run and building:
+        drives = (
+            ahead.plan(f"drive {', '.join(names)} through {ahead.counted()} of {split}")
+            for split, ahead in building.items()
+        )
+        print_plan([*dict.fromkeys(line for lines in drives for line in lines)], json_output=options.json_output)
         return
     # Planners first: importing a class of another package may fail, and data may take minutes to build.
     loading = replace(planners, image_format=options.image_format or "torch", frame=options.frame or "ego")
@@ -171,15 +181,19 @@ def drive_command(options: DriveOptions) -> None:
     factories = [
         loaded[planner] if planner in loaded else api.load_planner(planner, data=options.data) for planner in names
     ]
-    dataset = data.open_split(options.split)
     space = api.workspace(options.out)
-    how = replace(_settings(options, scenes, place), timings=space.timings_of(space.drive_root()))
+    root = space.drive_root()
+    jobs = [
+        (dataset, split, replace(how, timings=space.timings_of(root)))
+        for dataset, split, how in _plan_splits(data, [*taken.ahead], options, scenes, place)
+    ]
     if options.dry_run:
         from benchmark.runs.drive_estimate import estimate_driving
 
-        root = space.drive_root()
         estimates = [
-            estimate_driving(dataset, options.split, planner, _settings_of(planner, how), root) for planner in factories
+            estimate_driving(dataset, split, planner, _settings_of(planner, how), root)
+            for dataset, split, how in jobs
+            for planner in factories
         ]
         print_plan(estimates, json_output=options.json_output)
         return
@@ -189,47 +203,118 @@ def drive_command(options: DriveOptions) -> None:
         groups = [[planner for planner in factories if _is_blind(planner)]]
         groups += [[planner] for planner in factories if not _is_blind(planner)]
         done = [
-            planner
+            progress
+            for dataset, split, how in jobs
             for group in filter(None, groups)
-            for planner in drive_shard(
-                dataset, options.split, group, space.drive_root(), _settings_of(group[0], how), shard
-            )
+            for progress in drive_shard(dataset, split, group, root, _settings_of(group[0], how), shard)
         ]
         print_shard_progress(shard, done, "driven", json_output=options.json_output)
         return
-    records = _drive_planners(dataset, options.split, factories, space.drive_root(), how)
+    records = [
+        record for dataset, split, how in jobs for record in _drive_planners(dataset, split, factories, root, how)
+    ]
     warn_of_caveats(record.facts for record in records)
     sound = _show(records, options)
     print_next_steps(
         f"records: {', '.join(str(record.directory) for record in records)}",
-        _suggest_evaluation(options, dict(zip(names, records, strict=True))),
+        _suggest_evaluation(options, records),
         json_output=options.json_output,
     )
     if not sound:
         raise typer.Exit(1)
 
 
-def _suggest_evaluation(options: DriveOptions, driven: "Mapping[str, DriveRecord]") -> Step:
-    """The step to open loop, of planners that drove and have no record there."""
-    missing = [
-        name
-        for name, record in driven.items()
-        if record.complete
-        and not find_records_of(options.out, record.facts.data.name, options.split, record.facts.planner.name)
+def _choose_splits(data: "api.DataSource", options: DriveOptions, scenes: tuple[str, ...] | None) -> ChosenSplits:
+    """The splits; of recordings beside an adversarial one those are driven that its chosen scenes were made from."""
+    from benchmark.records.seed_splits import is_adversarial
+
+    if not any(map(is_adversarial, options.split)):
+        return choose_splits(data, options.split, scenes, options.limit)
+    leading = [split for split in options.split if is_adversarial(split)]
+    taken = choose_splits(data, leading, scenes, options.limit)
+    others = {split: data.require_split(split) for split in options.split if split not in leading}
+    return ChosenSplits({split: (taken.ahead | others)[split] for split in [*taken.ahead, *others]}, taken.sentence)
+
+
+def _plan_splits(
+    source: "api.DataSource",
+    splits: "Sequence[str]",
+    options: DriveOptions,
+    scenes: tuple[str, ...] | None,
+    place: "Executor",
+) -> "list[tuple[DataSet, str, DriveSettings]]":
+    """Data set, name and settings of what is driven; of recordings once for each adversarial split beside them."""
+    from benchmark.runs.encounters import find_windows
+
+    recordings = source.open()
+    opened = {split: source.open_split(split, recordings) for split in splits}
+    planned: list[tuple[DataSet, str, DriveSettings]] = []
+    for split, data in opened.items():
+        chosen = data.scene_facts(data.scene_names(split)).values()
+        how = _settings(options, split, scenes, place, adversarial=any(fact.adversaries != 0 for fact in chosen))
+        if how.window is not None:
+            names = how.chosen(data, split)
+            windows = find_windows(data, names, recordings, whole=how.window == "scene")
+            how = replace(how, windows=windows)
+            whole = [name for name, own in windows.items() if own[0].departs_s is None]
+            if whole and how.window == "encounter":
+                api.notify(
+                    f"{len(whole)} of {len(names)} scenes of {split} are driven whole: nothing says where their "
+                    f"adversaries depart ({', '.join(whole[:3])}{' ...' if len(whole) > 3 else ''})"
+                )
+        planned.append((data, split, how))
+    leading = [(data, split, how) for data, split, how in planned if _leads(split, how)]
+    if options.agents == "adversary" or options.engine != "default" or not leading:
+        return planned
+    others = [(data, split) for data, split, how in planned if not _leads(split, how)]
+    paired = [
+        (other, name, api.follow_windows(how, split, data, other, name))
+        for data, split, how in leading
+        for other, name in others
     ]
-    given = format_options(split=options.split, model=missing, checkpoint=options.checkpoint)
+    return [*paired, *leading]
+
+
+def _leads(split: str, how: "DriveSettings") -> bool:
+    """Whether a split is adversarial, so that recordings are driven as it is."""
+    from benchmark.records.seed_splits import is_adversarial
+
+    return how.window is not None or is_adversarial(split)
+
+
+def _suggest_evaluation(options: DriveOptions, driven: "Sequence[DriveRecord]") -> Step:
+    """The step to open loop, of planners that drove and have no record there."""
+    lacking = [
+        (record.facts.split, record.facts.planner.name)
+        for record in driven
+        if record.complete
+        and not find_records_of(options.out, record.facts.data.name, record.facts.split, record.facts.planner.name)
+    ]
+    splits, missing = (list(dict.fromkeys(column)) for column in zip(*lacking)) if lacking else ([], [])
+    given = format_options(split=splits, model=missing, checkpoint=options.checkpoint)
     step = (f"eval{given}{repeat_data_options(options)}", "evaluate the same planners in open loop")
     return step if missing else None
 
 
-def _settings(options: DriveOptions, scenes: tuple[str, ...] | None, place: "Executor") -> "DriveSettings":
+def _settings(
+    options: DriveOptions, split: str, scenes: tuple[str, ...] | None, place: "Executor", *, adversarial: bool
+) -> "DriveSettings":
     same = (
-        *("engine", "agents", "adversary_knows", "adversary_others", "adversary_rounds", "adversary_candidates"),
+        *(
+            "engine",
+            "agents",
+            "window",
+            "adversary_knows",
+            "adversary_others",
+            "adversary_rounds",
+            "adversary_candidates",
+        ),
         *("adversary_tracks", "keep_considered", "sensor", "accept_torch_tensors", "scenarios", "until", "runs"),
         *("limit", "seed"),
     )
     return api.drive_settings(
-        options.split,
+        split,
+        adversarial=adversarial,
         adversary_every_s=options.adversary_every,
         latency_ms=options.latency,
         timeout_s=options.timeout,
@@ -243,7 +328,7 @@ def _require_engine(options: DriveOptions) -> None:
     """Refuse what engines of extensions have not, a latency that no engine has, and an adversary that there is not."""
     engine, latency = options.engine, options.latency
     if engine != "default":
-        if options.agents != "replay":
+        if options.agents not in (None, "replay"):
             raise InputError(
                 f"road users of {engine} never react; leave --agents {options.agents} out or use --engine default"
             )
@@ -265,8 +350,8 @@ def _require_engine(options: DriveOptions) -> None:
     of_adversary = (*(f"adversary_{name}" for name in about_adversary), "keep_considered")
     if options.agents != "adversary" and any(getattr(options, name) != getattr(usual, name) for name in of_adversary):
         raise InputError(
-            f"--agents {options.agents} has no adversary; use --agents adversary, or leave --adversary-... and "
-            "--keep-considered out"
+            f"--agents {options.agents or 'replay'} has no adversary; use --agents adversary, or leave --adversary-... "
+            "and --keep-considered out"
         )
 
 

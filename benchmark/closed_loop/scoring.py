@@ -5,7 +5,7 @@ without what nuScenes lacks; fault during an episode is told by the same rules a
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -105,7 +105,8 @@ _WEIGHTS: Final = (5.0, 5.0, 2.0)
 class RouteProgress:
     """Progress along the route from the first driven instant to the last scored one, metres.
 
-    ``recorded_m`` is the recorded ego's in the same time, ``whole_m`` to the last keyframe of the recording.
+    ``recorded_m`` is the recorded ego's in the same time, ``whole_m`` to the last keyframe of the recording, or of
+    the window.
     """
 
     metres: float
@@ -258,20 +259,20 @@ def compute_completed_share(scene: Scene, drive: Episode, first: int) -> float:
 
     ``first`` is the keyframe of the first planning instant.
     """
-    start = first + drive.primed - 1
-    recorded = scene.ego.pose[scene.keyframes[start:], :2]
+    start, end = first + drive.primed - 1, None if drive.window is None else drive.window.end + 1
+    recorded = scene.ego.pose[scene.keyframes[start:end], :2]
     driven = drive.motion.ego[drive.motion.ticks[drive.primed - 1 :], :2]
     nearest = np.hypot(*(driven[:, None] - recorded[None]).transpose(2, 0, 1)).argmin(axis=1)
     return float(min(1.0, (nearest.max() + 1) / (COMPLETE_AT * len(recorded))))
 
 
 def score_collision(
-    scene: Scene, touch: CollisionEvent, start_us: int, *, unsure: bool, adversary: int | None = None
+    scene: Scene, touch: CollisionEvent, start_us: int, *, unsure: bool, adversaries: Collection[str] = ()
 ) -> ScoredContact:
     """A contact in numbers; ``start_us`` is the first driven instant.
 
     ``unsure`` is an ego in several lanes or off the drivable area, which makes a lateral contact its fault;
-    ``adversary`` became one in this drive alone.
+    ``adversaries`` are those of this drive alone.
     """
     pair = touch.pair
     kind = KINDS[int(pair.kinds[0])]
@@ -281,7 +282,7 @@ def score_collision(
         seconds=(touch.time_us - start_us) * 1e-6,
         agent=touch.uuid,
         category=touch.category,
-        adversary=touch.uuid in scene.adversaries or touch.agent == adversary,
+        adversary=touch.uuid in scene.adversaries or touch.uuid in adversaries,
         kind=kind.value,
         at_fault=is_at_fault(kind, unsure),
         impact_speed=float(impact[0]),
@@ -321,15 +322,16 @@ def score_episode(scene: Scene, drive: Episode) -> EpisodeScores:
     where = locate_segment(road, part)
     known = bool(road.drivable and road.lanes)
     unsure = is_lane_ambiguous(road, where)[0]
-    pursuer = None if drive.adversary is None else drive.adversary.agent
+    pursuers = () if drive.adversary is None else (scene.agents.ids[drive.adversary.agent],)
+    pursuers = pursuers if drive.window is None else drive.window.adversaries
 
     def scored_touch(touch: CollisionEvent) -> ScoredContact:
         at = min(int(np.searchsorted(part.times_us, touch.time_us)), len(unsure) - 1)
         start_us = int(part.times_us[0])
-        return score_collision(scene, touch, start_us, unsure=bool(unsure[at]), adversary=pursuer)
+        return score_collision(scene, touch, start_us, unsure=bool(unsure[at]), adversaries=pursuers)
 
     contact = None if drive.touch is None else scored_touch(drive.touch)
-    progress = measure_progress(route, part)
+    progress = measure_progress(route, part, None if drive.window is None else drive.window.end)
     scored = known and drive.neuroncap is None
     return EpisodeScores(
         contact=contact,
@@ -341,8 +343,8 @@ def score_episode(scene: Scene, drive: Episode) -> EpisodeScores:
     )
 
 
-def measure_progress(route: Route, part: DrivenPart) -> RouteProgress:
-    """How far along the route a drive came."""
+def measure_progress(route: Route, part: DrivenPart, last_keyframe: int | None = None) -> RouteProgress:
+    """How far along the route a drive came; ``last_keyframe`` is where its window ends, by default the recording's."""
     station = route.place(part.states[0]).station
     near = station
     for state in part.states[1::5]:
@@ -350,5 +352,6 @@ def measure_progress(route: Route, part: DrivenPart) -> RouteProgress:
     end = route.place(part.states[-1], near).station
     first, last = (route.seconds_of(int(part.times_us[at])) for at in (0, -1))
     recorded = route.recorded_station(last) - route.recorded_station(first)
-    full_length = route.recorded_station(float(route.step_seconds[-1])) - route.recorded_station(first)
+    over = float(route.step_seconds[-1 if last_keyframe is None else last_keyframe])
+    full_length = route.recorded_station(over) - route.recorded_station(first)
     return RouteProgress(end - station, recorded, full_length)

@@ -16,6 +16,10 @@ MOST_RUNS: Final = 10_000
 REASONS: Final = ("raised", "no plan", "unusable plan", "timeout", "died")
 StopCondition = Literal["contact", "fault"]
 """Event that ends a drive early: any contact, or one that is the ego's fault."""
+WindowName = Literal["scene", "encounter"]
+"""Part of a scene that is driven: all of it, or that around the encounter with its adversaries."""
+ON_TRACK: Final = {"adversary": "on its track"}
+"""Fact on ``idm`` agents among whom adversaries, or who stands for them in a recording, keep their tracks."""
 ScenariosName = Literal["recorded", "own", "official"]
 """Scenarios of NeuroNCAP's engine: none, ours, or NeuroNCAP's own."""
 SCENARIOS: Final[tuple[ScenariosName, ...]] = get_args(ScenariosName)
@@ -37,6 +41,9 @@ class ClosedLoopDefinition(Stored):
         agents_facts: What else they depend on: budget, knowledge and version of an adversary, and the policy of those
             beside it. Not written where there is nothing.
         until: What ended a drive before its time. Not written where it is any contact.
+        window: Part of each scene that was driven. Not written where it is all of it.
+        windows_of: Of recordings that are driven as an adversarial split is: its name, and the hash of its windows. Not
+            written of all others.
     """
 
     engine: Name
@@ -47,20 +54,25 @@ class ClosedLoopDefinition(Stored):
     scenarios: ScenariosName = "recorded"
     agents_facts: dict[str, Any] = Field(default_factory=dict)
     until: StopCondition = "contact"
+    window: WindowName = "scene"
+    windows_of: dict[str, str] = Field(default_factory=dict)
 
     @model_serializer(mode="wrap")
     def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        written = _without_empty(write(self), "agents_facts")
-        return {name: value for name, value in written.items() if (name, value) != ("until", "contact")}
+        written = _without_empty(write(self), "agents_facts", "windows_of")
+        usual = (("until", "contact"), ("window", "scene"))
+        return {name: value for name, value in written.items() if (name, value) not in usual}
 
     @property
     def world(self) -> str:
-        """Engine, agents, latency, end of a drive: settings that records of one table share, with any sensor."""
+        """Engine, agents, latency, window and end of a drive: what records of one table share, with any sensor."""
         facts = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in sorted(self.agents_facts.items()))
         agents = f", agents {self.agents}{f' ({facts})' if facts else ''}" if self.engine == "default" else ""
         scenarios = "" if self.scenarios == "recorded" else f", {self.scenarios} scenarios"
         late = f", latency {self.latency_ms} ms" if self.latency_ms else ""
-        return f"{self.engine}{scenarios}{agents}{late}{'' if self.until == 'contact' else ', until fault'}"
+        of = f"{' of' if self.window == 'encounter' else ', as'} {self.windows_of['split']}" if self.windows_of else ""
+        window = f"{', window encounter' if self.window == 'encounter' else ''}{of}"
+        return f"{self.engine}{scenarios}{agents}{late}{window}{'' if self.until == 'contact' else ', until fault'}"
 
 
 def _without_empty(written: dict[str, Any], *names: str) -> dict[str, Any]:
@@ -270,6 +282,30 @@ class LadderOutcome:
     at_fault: bool | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class EncounterWindow:
+    """Part of a scene that is driven around the encounter with the adversaries of the adversarial scene ``of``.
+
+    Up to the keyframe ``start`` the ego is the recorded one, the drive ends at the keyframe ``end``. ``adversaries``
+    are instances of the scene that is driven, of a recording those that became adversaries in ``of``. ``departs_s`` is
+    when the first of them leaves its recording, in seconds of the scene; null where nothing says so.
+
+    Attributes:
+        of: Name of the adversarial scene.
+        start: First keyframe that is driven from.
+        end: Keyframe at which it is over.
+        adversaries: Instance identifiers.
+        departs_s: When the first one departs.
+    """
+
+    __pydantic_config__: ClassVar[ConfigDict] = Stored.model_config
+    of: Name
+    start: Annotated[int, Field(ge=1)]
+    end: Annotated[int, Field(ge=2)]
+    adversaries: tuple[str, ...]
+    departs_s: NotNegative | None
+
+
 CAREFUL: Final = "cc"
 """The careful and competent human: whom an encounter is fair to."""
 
@@ -294,6 +330,7 @@ class EpisodeRow(Stored):
         passed: Contacts before `contact` that did not end it, none of them the ego's fault; not written if none.
         unlabelled: Whether annotations are missing, or in a part of the scene: the drive says nothing of contacts then.
             Not written where it is labelled throughout.
+        window: Part of the scene that was driven around an encounter; not written of drives without one.
     """
 
     scene: Name
@@ -311,10 +348,11 @@ class EpisodeRow(Stored):
     ladder: dict[str, LadderOutcome] | None = None
     passed: list[ScoredContact] = Field(default_factory=list)
     unlabelled: bool = False
+    window: EncounterWindow | None = None
 
     @model_serializer(mode="wrap")
     def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return _without_empty(write(self), "adversary", "ladder", "passed", "unlabelled")
+        return _without_empty(write(self), "adversary", "ladder", "passed", "unlabelled", "window")
 
     @property
     def first_contact(self) -> ScoredContact | None:
