@@ -9,6 +9,7 @@ import typer
 
 from benchmark import api
 from benchmark.cli import options as shared
+from benchmark.cli.drive_splits import choose_drive_splits, plan_splits
 from benchmark.cli.options import make_executor, parse_name_list, parse_shard
 from benchmark.cli.output import (
     Step,
@@ -22,14 +23,12 @@ from benchmark.cli.output import (
     warn_of_caveats,
 )
 from benchmark.cli.settings import Option, command, take_options
-from benchmark.cli.splits import ChosenSplits, choose_splits
 from benchmark.errors import InputError
 from benchmark.report.words import format_options
 
 if TYPE_CHECKING:
     from adapters.registry import NamedPlanner
     from benchmark.datasets.roots import DataSet
-    from benchmark.machine.workers import Executor
     from benchmark.records.drives import DriveRecord
     from benchmark.runs.driving import DriveSettings
 
@@ -164,7 +163,7 @@ def drive_command(options: DriveOptions) -> None:
         require_one_device(options.device, "a Ray cluster assigns GPUs to its tasks")
     place = make_executor(options.executor, options.address, count_workers(options.workers, options.device))
     data, scenes = api.DataSource.of(options), parse_name_list(options.scenes)
-    taken = _choose_splits(data, options, scenes)
+    taken = choose_drive_splits(data, options, scenes)
     require_place(options.out, "--out")
     taken.say()
     building = {split: ahead for split, ahead in taken.ahead.items() if ahead.builds}
@@ -185,7 +184,7 @@ def drive_command(options: DriveOptions) -> None:
     root = space.drive_root()
     jobs = [
         (dataset, split, replace(how, timings=space.timings_of(root)))
-        for dataset, split, how in _plan_splits(data, [*taken.ahead], options, scenes, place)
+        for dataset, split, how in plan_splits(data, [*taken.ahead], options, scenes, place)
     ]
     if options.dry_run:
         from benchmark.runs.drive_estimate import estimate_driving
@@ -224,64 +223,6 @@ def drive_command(options: DriveOptions) -> None:
         raise typer.Exit(1)
 
 
-def _choose_splits(data: "api.DataSource", options: DriveOptions, scenes: tuple[str, ...] | None) -> ChosenSplits:
-    """The splits; of recordings beside an adversarial one those are driven that its chosen scenes were made from."""
-    from benchmark.records.seed_splits import is_adversarial
-
-    if not any(map(is_adversarial, options.split)):
-        return choose_splits(data, options.split, scenes, options.limit)
-    leading = [split for split in options.split if is_adversarial(split)]
-    taken = choose_splits(data, leading, scenes, options.limit)
-    others = {split: data.require_split(split) for split in options.split if split not in leading}
-    return ChosenSplits({split: (taken.ahead | others)[split] for split in [*taken.ahead, *others]}, taken.sentence)
-
-
-def _plan_splits(
-    source: "api.DataSource",
-    splits: "Sequence[str]",
-    options: DriveOptions,
-    scenes: tuple[str, ...] | None,
-    place: "Executor",
-) -> "list[tuple[DataSet, str, DriveSettings]]":
-    """Data set, name and settings of what is driven; of recordings once for each adversarial split beside them."""
-    from benchmark.runs.encounters import find_windows
-
-    recordings = source.open()
-    opened = {split: source.open_split(split, recordings) for split in splits}
-    planned: list[tuple[DataSet, str, DriveSettings]] = []
-    for split, data in opened.items():
-        chosen = data.scene_facts(data.scene_names(split)).values()
-        how = _settings(options, split, scenes, place, adversarial=any(fact.adversaries != 0 for fact in chosen))
-        if how.window is not None:
-            names = how.chosen(data, split)
-            windows = find_windows(data, names, recordings, whole=how.window == "scene")
-            how = replace(how, windows=windows)
-            whole = [name for name, own in windows.items() if own[0].departs_s is None]
-            if whole and how.window == "encounter":
-                api.notify(
-                    f"{len(whole)} of {len(names)} scenes of {split} are driven whole: nothing says where their "
-                    f"adversaries depart ({', '.join(whole[:3])}{' ...' if len(whole) > 3 else ''})"
-                )
-        planned.append((data, split, how))
-    leading = [(data, split, how) for data, split, how in planned if _leads(split, how)]
-    if options.agents == "adversary" or options.engine != "default" or not leading:
-        return planned
-    others = [(data, split) for data, split, how in planned if not _leads(split, how)]
-    paired = [
-        (other, name, api.follow_windows(how, split, data, other, name))
-        for data, split, how in leading
-        for other, name in others
-    ]
-    return [*paired, *leading]
-
-
-def _leads(split: str, how: "DriveSettings") -> bool:
-    """Whether a split is adversarial, so that recordings are driven as it is."""
-    from benchmark.records.seed_splits import is_adversarial
-
-    return how.window is not None or is_adversarial(split)
-
-
 def _suggest_evaluation(options: DriveOptions, driven: "Sequence[DriveRecord]") -> Step:
     """The step to open loop, of planners that drove and have no record there."""
     lacking = [
@@ -294,34 +235,6 @@ def _suggest_evaluation(options: DriveOptions, driven: "Sequence[DriveRecord]") 
     given = format_options(split=splits, model=missing, checkpoint=options.checkpoint)
     step = (f"eval{given}{repeat_data_options(options)}", "evaluate the same planners in open loop")
     return step if missing else None
-
-
-def _settings(
-    options: DriveOptions, split: str, scenes: tuple[str, ...] | None, place: "Executor", *, adversarial: bool
-) -> "DriveSettings":
-    same = (
-        *(
-            "engine",
-            "agents",
-            "window",
-            "adversary_knows",
-            "adversary_others",
-            "adversary_rounds",
-            "adversary_candidates",
-        ),
-        *("adversary_tracks", "keep_considered", "sensor", "accept_torch_tensors", "scenarios", "until", "runs"),
-        *("limit", "seed"),
-    )
-    return api.drive_settings(
-        split,
-        adversarial=adversarial,
-        adversary_every_s=options.adversary_every,
-        latency_ms=options.latency,
-        timeout_s=options.timeout,
-        scenes=scenes,
-        executor=place,
-        **{name: getattr(options, name) for name in same},
-    )
 
 
 def _require_engine(options: DriveOptions) -> None:
@@ -389,6 +302,7 @@ def _settings_of(planner: "NamedPlanner", how: "DriveSettings") -> "DriveSetting
 
 def _show(records: "Sequence[DriveRecord]", options: DriveOptions) -> bool:
     """Print the tables; whether no planner failed."""
+    from benchmark.metrics.drive_effect import drive_effect_to_json
     from benchmark.records.drives import ROWS_FILE
     from leaderboard.tables.drives import describe_failures, drive_tables
 
@@ -401,6 +315,7 @@ def _show(records: "Sequence[DriveRecord]", options: DriveOptions) -> bool:
                     "status": record.facts.status,
                     "measured": record.facts.measured.model_dump(mode="json"),
                     "runs": record.facts.runs,
+                    **drive_effect_to_json(record, records),
                     **record.summary.model_dump(mode="json", by_alias=True),
                 }
                 for record in records

@@ -59,7 +59,8 @@ class _NamedDrive:
     @property
     def key(self) -> str:
         """Key in addresses and file names."""
-        return content_key("drive", self.record.content_id, self.row.scene, self.row.family, self.row.run)[:16]
+        of = [] if self.row.window is None else [self.row.window.of]
+        return content_key("drive", self.record.content_id, self.row.scene, self.row.family, self.row.run, *of)[:16]
 
     @property
     def scene(self) -> tuple[str, str, str]:

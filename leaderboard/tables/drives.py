@@ -31,6 +31,7 @@ from leaderboard.frame.specification import (
     tabulate,
     text_columns,
 )
+from leaderboard.tables.paired_drives import paired_drive_tables
 
 DISAGREEMENTS = "loops-scenes"
 """How names of tables of single scenes begin."""
@@ -182,6 +183,8 @@ _DEFAULT: Final[tuple[_MeasuredColumn, ...]] = (
     ("nuplan_c", "C", "", False),
     ("hd_score", "HD formula", "", True),
 )
+_BYSTANDERS: Final[_MeasuredColumn] = ("with_bystander", "bystanders %", PERCENT, False)
+"""Of windows around an encounter: drives with a contact with anybody but the adversary."""
 _NEURONCAP: Final[tuple[_MeasuredColumn, ...]] = (
     (NNS, "NNS", "points", True),
     (COLLISION_RATE, "CR %", PERCENT, True),
@@ -209,7 +212,8 @@ _PUBLISHED_NOTE: Final = (
 _FAMILIES: Final = ("stationary", "frontal", "side")
 _BRIEF: Final = (
     *("planner", "sensor", "contact", "at_fault", "95 % of at_fault", ATTRIBUTABLE, BYSTANDER, "survives_cc"),
-    *("impact_speed", "route", "off_road", "comfortable", "nuplan_score", "hd_score", "failed", "drives"),
+    *("with_adversary", "with_bystander", "impact_speed", "route", "off_road", "comfortable", "nuplan_score"),
+    *("hd_score", "failed", "drives"),
 )
 """Columns of our own engine in a terminal; the only interval is that of fault."""
 _NOTE_CONTACT: Final = (
@@ -241,20 +245,21 @@ def drive_tables(records: Sequence[DriveRecord]) -> list[Table]:
         records: Of any planners.
 
     Returns:
-        The tables, NeuroNCAP's engines last.
+        The tables, NeuroNCAP's engines last, then those of adversarial drives paired with drives of the recordings.
 
     Raises:
         InputError: If two records would share a row.
     """
-    return [_table(group) for group in group_comparable_drives(records)]
+    groups = group_comparable_drives(records)
+    return [*map(_table, groups), *paired_drive_tables(groups)]
 
 
 def _table(group: ComparableDrives) -> Table:
     first, own = group.records[0].facts, group.records[0].facts.measured.engine == "default"
     fair = any("survives_cc" in record.summary.columns for record in group.records)
-    measured = (
-        (*_DEFAULT[:2], *(_FAIRNESS if fair else ()), *_DEFAULT[2:]) if own else _neuroncap_columns(group.records)
-    )
+    windows = any("with_bystander" in record.summary.columns for record in group.records)
+    further = (*(_FAIRNESS if fair else ()), *_DEFAULT[2:3], *((_BYSTANDERS,) if windows else ()), *_DEFAULT[3:])
+    measured = (*_DEFAULT[:2], *further) if own else _neuroncap_columns(group.records)
     published = any(record.summary.published is not None for record in group.records)
     columns = [
         *text_columns("planner", "sensor"),
