@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from benchmark.closed_loop.observation_builder import Sensor
     from benchmark.datasets.roots import DataSet
     from benchmark.machine.workers import Executor
-    from benchmark.records.drive_schema import WindowName
+    from benchmark.records.encounter_window import WindowName
     from benchmark.runs.driving import DriveSettings
 
 

@@ -30,7 +30,8 @@ from benchmark.geometry import Floats
 from benchmark.machine.identity_cache import IdentityCache
 from benchmark.pdm.plan_motion import plan_to_poses
 from benchmark.planning import Plan
-from benchmark.records.drive_schema import EncounterWindow, NeuroncapScore, StopCondition
+from benchmark.records.drive_schema import NeuroncapScore, StopCondition
+from benchmark.records.encounter_window import EncounterWindow
 from benchmark.scene import Scene
 
 

@@ -23,7 +23,8 @@ from benchmark.closed_loop.simulation_state import (
 from benchmark.errors import InputError
 from benchmark.machine.metering import Meter
 from benchmark.planning import CameraView, Command, NoViews, Plan, Planner, PrivilegedPlanner, SceneInfo
-from benchmark.records.drive_schema import EncounterWindow, NeuroncapScore
+from benchmark.records.drive_schema import NeuroncapScore
+from benchmark.records.encounter_window import EncounterWindow
 from benchmark.scene import Camera, Scene
 
 End = Literal["contact", "end", "failed"]

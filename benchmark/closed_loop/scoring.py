@@ -16,7 +16,7 @@ from benchmark.closed_loop.episodes import Episode
 from benchmark.closed_loop.nuplan import DrivenPart
 from benchmark.closed_loop.plan_tracking import Ego
 from benchmark.closed_loop.route import Route, build_driven_scene, hold_last_frame
-from benchmark.closed_loop.simulation_state import CollisionEvent
+from benchmark.closed_loop.simulation_state import SUBSTEPS, CollisionEvent
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats, box_corners
 from benchmark.interactions.contacts import (
@@ -138,7 +138,7 @@ def compute_nuplan_terms(
     outside = measure_outside_m(part, road)
     off = np.flatnonzero(outside >= OFF_ROAD_M)
     wrong = measure_along_route(part.states[None], route, where.oncoming, where.center_in_intersection).wrong_way_m
-    least = compute_least_ttc(part, where)
+    least = float(compute_ttc(part, where).min())
     is_at_fault = contact is not None and contact.at_fault
     share = progress.relative_to_recorded
     nc, dac, mp = compute_no_collision(contact), 0.0 if len(off) else 1.0, float(share >= LEAST_PROGRESS)
@@ -192,18 +192,18 @@ def measure_outside_m(part: DrivenPart, road: RoadPolygons) -> Floats:
     return np.asarray(away.max(axis=-1))
 
 
-def compute_least_ttc(part: DrivenPart, where: RoadPositions) -> float:
-    """The smallest time to collision of all instants, infinite above 2.9 s.
+def compute_ttc(part: DrivenPart, where: RoadPositions) -> Floats:
+    """(F,) time to collision at each instant, infinite above 2.9 s.
 
     Both go on as they are; any object ahead counts, and where the ego is in several lanes, off the road or in an
     intersection any that is not behind. An object touched at an instant can no longer be hit.
     """
     boxes, speed = compute_footprints(part.states), part.states[:, SPEED]
     agents = np.array([is_agent_category(category) for category in part.scene.agents.categories], np.bool_)
-    near = _find_near(part, boxes, speed)
-    agent_rows, instants = np.nonzero(near)
+    agent_rows, instants = np.nonzero(_find_near(part, boxes, speed))
+    least = np.full(len(speed), np.inf)
     if not len(agent_rows):
-        return float("inf")
+        return least
     pairs = ContactPairs(
         boxes[instants],
         speed[instants],
@@ -214,7 +214,8 @@ def compute_least_ttc(part: DrivenPart, where: RoadPositions) -> float:
     angle = compute_bearing(pairs.ego, pairs.other)
     unsure = (where.multiple_lanes | where.non_drivable | where.axle_in_intersection)[0, instants]
     counts = ((angle < AHEAD_RAD) | (unsure & (angle <= BEHIND_RAD))) & (pairs.gap > 0.0)
-    return float(np.where(counts, pairs.time_to_contact_nuplan, np.inf).min())
+    np.minimum.at(least, instants, np.where(counts, pairs.time_to_contact_nuplan, np.inf))
+    return least
 
 
 def _find_near(part: DrivenPart, boxes: Floats, speed: Floats) -> Bools:
@@ -301,7 +302,7 @@ class EpisodeScores:
 
     ``comfortable`` says if all of it is within nuPlan's bounds, ``None`` of less than 1.5 s; ``nuplan`` and ``hd`` are
     ``None`` where the map has no road or no lanes, and of NeuroNCAP's engine. ``contact`` ended it, ``passed`` ones did
-    not.
+    not. ``ttc_s`` is the smallest time to collision of each half second driven in a window, infinite above 2.9 s.
     """
 
     contact: ScoredContact | None
@@ -310,6 +311,7 @@ class EpisodeScores:
     nuplan: NuplanTerms | None
     hd: HdScore | None
     passed: tuple[ScoredContact, ...] = ()
+    ttc_s: tuple[float, ...] = ()
 
 
 def score_episode(scene: Scene, drive: Episode) -> EpisodeScores:
@@ -340,7 +342,13 @@ def score_episode(scene: Scene, drive: Episode) -> EpisodeScores:
         nuplan=compute_nuplan_terms(part, road, where, line, progress, contact) if scored else None,
         hd=compute_hd_score(scene, route, drive) if scored else None,
         passed=tuple(scored_touch(touch) for touch in drive.passed),
+        ttc_s=() if drive.window is None else _reduce_by_tick(compute_ttc(part, where)),
     )
+
+
+def _reduce_by_tick(ttc: Floats) -> tuple[float, ...]:
+    """The smallest of each half second, the last of which may be short."""
+    return tuple(np.minimum.reduceat(ttc, np.arange(0, len(ttc), SUBSTEPS)).tolist())
 
 
 def measure_progress(route: Route, part: DrivenPart, last_keyframe: int | None = None) -> RouteProgress:

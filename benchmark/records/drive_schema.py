@@ -6,6 +6,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal, Self, get_args
 from pydantic import ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from benchmark.metrics.rates import Rate
+from benchmark.records.encounter_window import EncounterWindow, WindowName
 from benchmark.records.run_schema import Name, RecordFacts, Version
 from benchmark.records.scene_assessment import KindName, NotNegative
 from benchmark.records.stored import Stored
@@ -16,10 +17,6 @@ MOST_RUNS: Final = 10_000
 REASONS: Final = ("raised", "no plan", "unusable plan", "timeout", "died")
 StopCondition = Literal["contact", "fault"]
 """Event that ends a drive early: any contact, or one that is the ego's fault."""
-WindowName = Literal["scene", "encounter"]
-"""Part of a scene that is driven: all of it, or that around the encounter with its adversaries."""
-ON_TRACK: Final = {"adversary": "on its track"}
-"""Fact on ``idm`` agents among whom adversaries, or who stands for them in a recording, keep their tracks."""
 ScenariosName = Literal["recorded", "own", "official"]
 """Scenarios of NeuroNCAP's engine: none, ours, or NeuroNCAP's own."""
 SCENARIOS: Final[tuple[ScenariosName, ...]] = get_args(ScenariosName)
@@ -282,30 +279,6 @@ class LadderOutcome:
     at_fault: bool | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class EncounterWindow:
-    """Part of a scene that is driven around the encounter with the adversaries of the adversarial scene ``of``.
-
-    Up to the keyframe ``start`` the ego is the recorded one, the drive ends at the keyframe ``end``. ``adversaries``
-    are instances of the scene that is driven, of a recording those that became adversaries in ``of``. ``departs_s`` is
-    when the first of them leaves its recording, in seconds of the scene; null where nothing says so.
-
-    Attributes:
-        of: Name of the adversarial scene.
-        start: First keyframe that is driven from.
-        end: Keyframe at which it is over.
-        adversaries: Instance identifiers.
-        departs_s: When the first one departs.
-    """
-
-    __pydantic_config__: ClassVar[ConfigDict] = Stored.model_config
-    of: Name
-    start: Annotated[int, Field(ge=1)]
-    end: Annotated[int, Field(ge=2)]
-    adversaries: tuple[str, ...]
-    departs_s: NotNegative | None
-
-
 CAREFUL: Final = "cc"
 """The careful and competent human: whom an encounter is fair to."""
 
@@ -331,6 +304,8 @@ class EpisodeRow(Stored):
         unlabelled: Whether annotations are missing, or in a part of the scene: the drive says nothing of contacts then.
             Not written where it is labelled throughout.
         window: Part of the scene that was driven around an encounter; not written of drives without one.
+        ttc_s: Smallest time to collision of each half second driven in a window, null above 2.9 s; not written of all
+            others.
     """
 
     scene: Name
@@ -338,7 +313,7 @@ class EpisodeRow(Stored):
     run: Annotated[int, Field(ge=0, lt=MOST_RUNS)]
     status: Literal["ok", "failed"]
     end: Literal["contact", "end", "failed"]
-    primed: Annotated[int, Field(ge=1, le=100)]
+    primed: Annotated[int, Field(ge=1, le=10_000)]
     ticks: TickRows
     plans: list[EpisodePlan]
     contact: ScoredContact | None
@@ -349,10 +324,11 @@ class EpisodeRow(Stored):
     passed: list[ScoredContact] = Field(default_factory=list)
     unlabelled: bool = False
     window: EncounterWindow | None = None
+    ttc_s: list[NotNegative | None] = Field(default_factory=list)
 
     @model_serializer(mode="wrap")
     def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return _without_empty(write(self), "adversary", "ladder", "passed", "unlabelled", "window")
+        return _without_empty(write(self), "adversary", "ladder", "passed", "unlabelled", "window", "ttc_s")
 
     @property
     def first_contact(self) -> ScoredContact | None:

@@ -15,14 +15,8 @@ from benchmark.evaluation import EvalSettings
 from benchmark.interactions.driver_simulation import REFERENCE_DRIVER_KINDS
 from benchmark.machine.storage import content_key
 from benchmark.machine.workers import Executor, LocalProcesses
-from benchmark.records.drive_schema import (
-    MOST_RUNS,
-    ON_TRACK,
-    ClosedLoopDefinition,
-    EncounterWindow,
-    EpisodeRow,
-    WindowName,
-)
+from benchmark.records.drive_schema import MOST_RUNS, ClosedLoopDefinition, EpisodeRow
+from benchmark.records.encounter_window import ON_TRACK, EncounterWindow, WindowName
 from benchmark.records.run_schema import LABELS, PlannerFacts
 from benchmark.runs.code_identity import code_sha256, is_current
 from benchmark.runs.encounters import Windows, find_windows, hash_windows

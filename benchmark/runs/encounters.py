@@ -18,7 +18,7 @@ from benchmark.fairness.data_set_assessment import MOVED_M, read_adversarial_sce
 from benchmark.geometry import Bools, Floats
 from benchmark.interactions.tracks import ContinuousTracks
 from benchmark.machine.storage import content_key
-from benchmark.records.drive_schema import EncounterWindow
+from benchmark.records.encounter_window import EncounterWindow
 from benchmark.scene import Scene
 
 if TYPE_CHECKING:

@@ -212,10 +212,10 @@ _PUBLISHED_NOTE: Final = (
 _FAMILIES: Final = ("stationary", "frontal", "side")
 _BRIEF: Final = (
     *("planner", "sensor", "contact", "at_fault", "95 % of at_fault", ATTRIBUTABLE, BYSTANDER, "survives_cc"),
-    *("with_adversary", "with_bystander", "impact_speed", "route", "off_road", "comfortable", "nuplan_score"),
-    *("hd_score", "failed", "drives"),
+    *("impact_speed", "route", "off_road", "comfortable", "nuplan_score", "hd_score", "failed", "drives"),
 )
 """Columns of our own engine in a terminal; the only interval is that of fault."""
+_BRIEF_OF_WINDOWS: Final = ("with_adversary", "with_bystander")
 _NOTE_CONTACT: Final = (
     "Contact: with any object; at fault: by nuPlan's rules (docs/severity.md). Impact speed and delta-v: means "
     "over contacts. Route: driven share of the recorded path. "
@@ -272,7 +272,7 @@ def _table(group: ComparableDrives) -> Table:
     notes = (*(own_notes if own else _NOTES_NEURONCAP), *([_PUBLISHED_NOTE] if published else ()))
     notes = (*notes, *([_NOTE_FAIRNESS] if fair else []), _FAILED_NOTE, *group.notes)
     rows = [_values(row, {name: unit for name, _, unit, _ in measured}) for row in group.rows]
-    brief = _BRIEF if own else [column.key for column in columns]
+    brief = (*_BRIEF, *_BRIEF_OF_WINDOWS[: 2 * windows]) if own else [column.key for column in columns]
     failed = [_FAILED_NOTE] if any(record.summary.failed for record in group.records) else []
     brief_notes = (*failed, *group.notes)
     return tabulate(f"drives-{group.name}", group.title, columns, rows, notes, brief=brief, brief_notes=brief_notes)
