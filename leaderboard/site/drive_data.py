@@ -234,7 +234,8 @@ def _build_strip(row: EpisodeRow, begins_s: float, end_s: float) -> list[list[st
     bars = [
         [
             "ttc",
-            f"left:{100 * step.start_s / end_s:.2f}%;width:{100 * (step.end_s - step.start_s) / end_s:.2f}%;"
+            f"left:{100 * step.start_s / end_s:.2f}%;"
+            f"width:{100 * (min(step.end_s, end_s) - step.start_s) / end_s:.2f}%;"
             f"height:{100 * step.share:.0f}%",
             f"time to collision {format_number(step.ttc_s, 1)} s at {format_number(step.start_s, 1)} s",
             "",
@@ -247,7 +248,7 @@ def _build_strip(row: EpisodeRow, begins_s: float, end_s: float) -> list[list[st
             "touch cp-touch-adversary" if adversary else "touch",
             f"left:{min(100 * seconds / end_s, 100):.2f}%",
             f"touches {words} at {format_number(seconds, 1)} s",
-            "✕",
+            f"{words} ✕",
         ]
         for seconds, words, adversary in list_touches(row, begins_s)
     ]
