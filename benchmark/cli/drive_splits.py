@@ -25,7 +25,7 @@ def choose_drive_splits(
     leading = [split for split in options.split if is_adversarial(split)]
     taken = choose_splits(data, leading, scenes, options.limit)
     others = {split: data.require_split(split) for split in options.split if split not in leading}
-    return ChosenSplits({split: (taken.ahead | others)[split] for split in [*taken.ahead, *others]}, taken.sentence)
+    return ChosenSplits({**taken.ahead, **others}, taken.sentence)
 
 
 def plan_splits(

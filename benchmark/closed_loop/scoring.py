@@ -324,8 +324,8 @@ def score_episode(scene: Scene, drive: Episode) -> EpisodeScores:
     where = locate_segment(road, part)
     known = bool(road.drivable and road.lanes)
     unsure = is_lane_ambiguous(road, where)[0]
-    pursuers = () if drive.adversary is None else (scene.agents.ids[drive.adversary.agent],)
-    pursuers = pursuers if drive.window is None else drive.window.adversaries
+    pursuers = [] if drive.adversary is None else [scene.agents.ids[drive.adversary.agent]]
+    pursuers += [] if drive.window is None else drive.window.adversaries
 
     def scored_touch(touch: CollisionEvent) -> ScoredContact:
         at = min(int(np.searchsorted(part.times_us, touch.time_us)), len(unsure) - 1)

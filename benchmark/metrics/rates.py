@@ -86,7 +86,7 @@ def count_needed_recordings(difference: PairedDifference) -> int | None:
     # An end may be cut where no difference is larger.
     reach, count = max(value - low, high - value), difference.recordings
     spread = reach / float(stats.t.ppf(0.975, count - 1)) * math.sqrt(count)
-    needed = max(count + 1, math.floor((stats.norm.ppf(0.975) * spread / value) ** 2))
+    needed = max(count + 1, math.floor(float(stats.norm.ppf(0.975) * spread / value) ** 2))
     while float(stats.t.ppf(0.975, needed - 1)) * spread >= abs(value) * math.sqrt(needed):
         needed += 1
     return needed

@@ -100,8 +100,8 @@ def write_episode_page(
 
 def _with_its_adversary(driven: Scene, row: EpisodeRow) -> Scene:
     """The scene with who drove adversarially among its adversaries: in a recording it is one of the others."""
-    names = () if row.adversary is None else (row.adversary.uuid,)
-    names = names if row.window is None else row.window.adversaries
+    names = [] if row.adversary is None else [row.adversary.uuid]
+    names += [] if row.window is None else row.window.adversaries
     more = tuple(name for name in names if name not in driven.adversaries)
     return replace(driven, adversaries=(*driven.adversaries, *more)) if more else driven
 

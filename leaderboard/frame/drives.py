@@ -120,7 +120,7 @@ def group_comparable_drives(records: Sequence[DriveRecord]) -> list[ComparableDr
         facts = record.facts
         review = None if facts.review is None else facts.review.content
         key = [facts.data.name, facts.data.fingerprint, review, facts.split, facts.measured.world, facts.scenes]
-        key += [facts.measured.windows_of]
+        key += [json.dumps(facts.measured.windows_of)]
         kinds.setdefault(json.dumps(key), []).append(record)
     groups = [ComparableDrives(*group_values) for alike in kinds.values() for group_values in _group_by_sensor(alike)]
     for group in groups:

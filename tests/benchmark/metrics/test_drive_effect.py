@@ -27,7 +27,7 @@ def window(of: str, end: int = 9) -> dict[str, Any]:
 
 
 def drive(scene: str, of: str, *, hit: bool, km: float, end: int = 9) -> EpisodeRow:
-    made = {"end": "contact", "contact": contact()} if hit else {}
+    made: dict[str, Any] = {"end": "contact", "contact": contact()} if hit else {}
     return row(scene, window=window(of, end), scores=scores(progress_m=1000.0 * km), **made)
 
 
