@@ -229,7 +229,6 @@ __all__ = [
     "evaluate",
     "find_drives",
     "find_records",
-    "follow_windows",
     "frozen_split",
     "generate",
     "hyper_parameters",
