@@ -22,6 +22,7 @@ from adapters.result_files.recognition import recognise as open_results
 from adapters.result_files.samples import read_recorded_samples as recorded_samples
 from adapters.result_files.writing.formats import write_results as write_results
 from benchmark.api.driving import drive_settings as drive_settings
+from benchmark.api.driving import follow_windows as follow_windows
 from benchmark.api.opening import (
     known_scenes as known_scenes,
 )

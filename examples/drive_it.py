@@ -39,8 +39,8 @@ adv = benchmark.open_data(out / "small-adv")
 # %% [markdown]
 # ## Two planners, the same scenes
 #
-# `replay`: everybody else does what was recorded, and the adversary what the search found. Cameras are off, since
-# neither of the two looks.
+# Driving begins 3 s before the adversary departs from its recording. It does what the search found, and everybody else
+# keeps the distance (`idm`). Cameras are off, since neither of the two looks.
 
 # %%
 planned = benchmark.drive_settings("adv")
@@ -77,15 +77,15 @@ axes.legend()
 figure.savefig(out / "drive-it.png", dpi=120, bbox_inches="tight")
 
 # %% [markdown]
-# ## Others that react
+# ## Others that do not react
 #
-# With `agents="idm"` the others keep their distance instead of replaying the recording. The two never share a table.
+# With `agents="replay"` the others do what was recorded, and `window="scene"` drives all of each scene. The two never
+# share a table.
 
 # %%
-reacting = benchmark.drive_split(
-    adv, "adv", benchmark.load_planner("constant-velocity"), drives, benchmark.drive_settings("adv", agents="idm")
-)
-print(reacting.directory.parent.name, {name: rate.value for name, rate in list(reacting.summary.columns.items())[:3]})
+as_recorded = benchmark.drive_settings("adv", agents="replay", window="scene")
+replayed = benchmark.drive_split(adv, "adv", benchmark.load_planner("constant-velocity"), drives, as_recorded)
+print(replayed.directory.parent.name, {name: rate.value for name, rate in list(replayed.summary.columns.items())[:3]})
 
 # %% [markdown]
 # From a shell: `challenger-bench drive --split adv --model idm`, and `film --drives` to look at it.

@@ -6,6 +6,7 @@ and a missing extra breaks only what needs it.
 
 from benchmark.api.driving import (
     drive_settings as drive_settings,
+    follow_windows as follow_windows,
     uses_images as uses_images,
     require_engine as require_engine,
     require_sensor as require_sensor,

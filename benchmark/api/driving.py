@@ -10,7 +10,9 @@ if TYPE_CHECKING:
 
     from benchmark.closed_loop.adversary import AdversaryFactory
     from benchmark.closed_loop.observation_builder import Sensor
+    from benchmark.datasets.roots import DataSet
     from benchmark.machine.workers import Executor
+    from benchmark.records.encounter_window import WindowName
     from benchmark.runs.driving import DriveSettings
 
 
@@ -28,7 +30,8 @@ def drive_settings(
     split: str,
     *,
     engine: str = "default",
-    agents: str = "replay",
+    agents: str | None = None,
+    window: "WindowName | None" = None,
     adversary_knows: str = "motion",
     adversary_every_s: float = 1.0,
     adversary_others: str = "replay",
@@ -49,6 +52,7 @@ def drive_settings(
     executor: "Executor | None" = None,
     timeout_s: float = 120.0,
     seed: int = 0,
+    adversarial: bool | None = None,
 ) -> "DriveSettings":
     """How planners are driven, for `benchmark.drive_split` (docs/closed-loop.md).
 
@@ -56,7 +60,11 @@ def drive_settings(
         split: The split; generated ones have pictures in a style of their own.
         engine: ``default``, ``neuroncap@code`` or ``neuroncap@paper``, with departures as its switches are named.
         agents: ``replay``, ``idm``, or ``adversary``, which the search of open loop plans anew while the ego drives
-            (docs/extensions/reactive_adversary.md); NeuroNCAP's never react.
+            (docs/extensions/reactive_adversary.md); NeuroNCAP's never react. By default ``idm`` on ``adv``, where
+            adversaries keep their tracks, else ``replay``.
+        window: ``encounter`` drives adversarial scenes from 3 s before their adversaries depart until these are gone,
+            ``scene`` drives all of them. ``encounter`` by default on ``adv`` in the default engine, unless the agents
+            are ``adversary``.
         adversary_knows: What it expects of the ego: ``plan``, ``motion`` (that it keeps its speed and its turn), or
             ``nothing``.
         adversary_every_s: Seconds between its plans.
@@ -81,6 +89,7 @@ def drive_settings(
         executor: Where drives are made; this process by default.
         timeout_s: How long a plan may take.
         seed: Of the intervals.
+        adversarial: Whether scenes have adversaries; by the split's name by default.
 
     Returns:
         The settings.
@@ -95,8 +104,11 @@ def drive_settings(
     from benchmark.machine.extension import import_from_extension
     from benchmark.machine.workers import LocalProcesses
     from benchmark.records.drive_schema import OF_FILE
+    from benchmark.records.seed_splits import is_adversarial
     from benchmark.runs.driving import DriveSettings
 
+    adversarial = is_adversarial(split) if adversarial is None else adversarial
+    agents, window = choose_world(engine, agents, window, adversarial=adversarial)
     drivers = [driver.value for driver in REFERENCE_DRIVER_KINDS]
     if ladder is not None and (strange := [name for name in ladder if name not in drivers]):
         raise InputError(f"unknown reference driver {strange[0]!r}; choose from {', '.join(drivers)}")
@@ -133,6 +145,66 @@ def drive_settings(
         executor=executor or LocalProcesses(),
         timeout_s=timeout_s,
         seed=seed,
+        window=window,
+    )
+
+
+def choose_world(
+    engine: str, agents: str | None, window: "WindowName | None", *, adversarial: bool
+) -> "tuple[str, WindowName | None]":
+    """Agents and window that are meant, those of adversarial scenes where the scenes are.
+
+    The window is ``None`` where scenes are driven whole and nobody among the agents is special. Raises `InputError` for
+    a window that there is not.
+    """
+    from benchmark.closed_loop.adversary import ADVERSARY
+    from benchmark.closed_loop.world_state import ENGINE
+
+    around = adversarial and engine == ENGINE
+    agents = agents or ("idm" if around else "replay")
+    if window == "encounter" and engine != ENGINE:
+        raise InputError(f"{engine} has a start of its own; leave --window encounter out or use --engine {ENGINE}")
+    if window == "encounter" and agents == ADVERSARY:
+        raise InputError(
+            f"the vehicle of --agents {ADVERSARY} departs when the drive begins; leave --window encounter out"
+        )
+    if window == "encounter" and not adversarial:
+        raise InputError("--window encounter is for adversarial scenes; leave it out, or add --split adv")
+    if not around or agents == ADVERSARY:
+        return agents, None
+    # Among replayed tracks a whole scene is driven as it always was.
+    return agents, None if (agents, window) == ("replay", "scene") else window or "encounter"
+
+
+def follow_windows(
+    settings: "DriveSettings", split: str, data: "DataSet", unchanged: "DataSet", unchanged_split: str
+) -> "DriveSettings":
+    """How the recordings of an adversarial split are driven, so that both can be compared: in the same windows.
+
+    Whoever became an adversary keeps its recorded track there, among ``idm`` agents too.
+
+    Args:
+        settings: Of the adversarial split.
+        split: Its name.
+        data: The data set that holds it.
+        unchanged: The data set that holds the recordings.
+        unchanged_split: Their split.
+
+    Returns:
+        The settings for `benchmark.drive_split` on the recordings.
+
+    Raises:
+        InputError: If they are not the recordings that the split was made from.
+    """
+    from dataclasses import replace
+
+    from benchmark.runs.encounters import find_windows, transfer_windows
+
+    scenes = settings.chosen(data, split)
+    windows = settings.windows or find_windows(data, scenes, unchanged, whole=settings.window != "encounter")
+    own = transfer_windows(windows, data, unchanged, unchanged.scene_names(unchanged_split))
+    return replace(
+        settings, window=settings.window or "scene", windows=own, windows_of=split, scenes=tuple(own), limit=None
     )
 
 

@@ -9,6 +9,7 @@ import typer
 
 from benchmark import api
 from benchmark.cli import options as shared
+from benchmark.cli.drive_splits import choose_drive_splits, plan_splits
 from benchmark.cli.options import make_executor, parse_name_list, parse_shard
 from benchmark.cli.output import (
     Step,
@@ -22,7 +23,6 @@ from benchmark.cli.output import (
     warn_of_caveats,
 )
 from benchmark.cli.settings import Option, command, take_options
-from benchmark.cli.splits import choose_splits
 from benchmark.errors import InputError
 from benchmark.machine.address import is_address
 from benchmark.report.words import format_options
@@ -30,7 +30,6 @@ from benchmark.report.words import format_options
 if TYPE_CHECKING:
     from adapters.registry import NamedPlanner
     from benchmark.datasets.roots import DataSet
-    from benchmark.machine.workers import Executor
     from benchmark.records.drives import DriveRecord
     from benchmark.runs.driving import DriveSettings
 
@@ -55,7 +54,7 @@ class DriveOptions:
     )
 
     model: shared.Models = ()
-    split: shared.Split = "adv"
+    split: shared.Splits = ("adv",)
     data: shared.Data = "mini"
     scenes: shared.Scenes = None
     limit: shared.Limit = None
@@ -74,10 +73,18 @@ class DriveOptions:
         Literal["default", "neuroncap@code", "neuroncap@paper"],
         Option("Who drives the plans (docs/closed-loop.md).", "Search", offers=("engine", ("default",))),
     ] = "default"
+    window: Annotated[
+        Literal["encounter", "scene"] | None,
+        Option("Of adversarial scenes: from 3 s before the adversary departs (the default), or all.", "Search"),
+    ] = None
     agents: Annotated[
-        Literal["replay", "idm", "adversary"],
-        Option("The others: their tracks, keeping distance, or one of them challenges the ego.", "Search"),
-    ] = "replay"
+        Literal["replay", "idm", "adversary"] | None,
+        Option(
+            "The others: their tracks, keeping distance (adversaries do not; default of adversarial scenes), or one of "
+            "them challenges the ego.",
+            "Search",
+        ),
+    ] = None
     adversary_knows: Annotated[
         Literal["plan", "motion", "nothing"],
         Option("adversary: expects that the ego drives its plan, keeps its motion, or stays.", "Search"),
@@ -165,14 +172,16 @@ def drive_command(options: DriveOptions) -> None:
         require_one_device(options.device, "a Ray cluster assigns GPUs to its tasks")
     place = make_executor(options.executor, options.address, count_workers(options.workers, options.device))
     data, scenes = api.DataSource.of(options), parse_name_list(options.scenes)
-    taken = choose_splits(data, [options.split], scenes, options.limit)
-    ((split, ahead),) = taken.ahead.items()
-    options = replace(options, split=split)
+    taken = choose_drive_splits(data, options, scenes)
     require_place(options.out, "--out")
     taken.say()
-    if options.dry_run and ahead.builds:
-        next_step = f"drive {', '.join(names)} through {ahead.counted()} of {options.split}"
-        print_plan(ahead.plan(next_step), json_output=options.json_output)
+    building = {split: ahead for split, ahead in taken.ahead.items() if ahead.builds}
+    if options.dry_run and building:
+        drives = (
+            ahead.plan(f"drive {', '.join(names)} through {ahead.counted()} of {split}")
+            for split, ahead in building.items()
+        )
+        print_plan([*dict.fromkeys(line for lines in drives for line in lines)], json_output=options.json_output)
         return
     # Planners first: importing a class of another package may fail, and data may take minutes to build.
     loading = replace(planners, image_format=options.image_format or "torch", frame=options.frame or "ego")
@@ -180,15 +189,19 @@ def drive_command(options: DriveOptions) -> None:
     factories = [
         loaded[planner] if planner in loaded else api.load_planner(planner, data=options.data) for planner in names
     ]
-    dataset = data.open_split(options.split)
     space = api.workspace(options.out)
-    how = replace(_settings(options, scenes, place), timings=space.timings_of(space.drive_root()))
+    root = space.drive_root()
+    jobs = [
+        (dataset, split, replace(how, timings=space.timings_of(root)))
+        for dataset, split, how in plan_splits(data, [*taken.ahead], options, scenes, place)
+    ]
     if options.dry_run:
         from benchmark.runs.drive_estimate import estimate_driving
 
-        root = space.drive_root()
         estimates = [
-            estimate_driving(dataset, options.split, planner, _settings_of(planner, how), root) for planner in factories
+            estimate_driving(dataset, split, planner, _settings_of(planner, how), root)
+            for dataset, split, how in jobs
+            for planner in factories
         ]
         print_plan(estimates, json_output=options.json_output)
         return
@@ -198,62 +211,47 @@ def drive_command(options: DriveOptions) -> None:
         groups = [[planner for planner in factories if _is_blind(planner)]]
         groups += [[planner] for planner in factories if not _is_blind(planner)]
         done = [
-            planner
+            progress
+            for dataset, split, how in jobs
             for group in filter(None, groups)
-            for planner in drive_shard(
-                dataset, options.split, group, space.drive_root(), _settings_of(group[0], how), shard
-            )
+            for progress in drive_shard(dataset, split, group, root, _settings_of(group[0], how), shard)
         ]
         print_shard_progress(shard, done, "driven", json_output=options.json_output)
         return
-    records = _drive_planners(dataset, options.split, factories, space.drive_root(), how)
+    records = [
+        record for dataset, split, how in jobs for record in _drive_planners(dataset, split, factories, root, how)
+    ]
     warn_of_caveats(record.facts for record in records)
     sound = _show(records, options)
     print_next_steps(
         f"records: {', '.join(str(record.directory) for record in records)}",
-        _suggest_evaluation(options, dict(zip(names, records, strict=True))),
+        _suggest_evaluation(options, list(zip(names * len(jobs), records))),
         json_output=options.json_output,
     )
     if not sound:
         raise typer.Exit(1)
 
 
-def _suggest_evaluation(options: DriveOptions, driven: "Mapping[str, DriveRecord]") -> Step:
-    """The step to open loop, of planners that drove and have no record there."""
-    missing = [
-        name
-        for name, record in driven.items()
+def _suggest_evaluation(options: DriveOptions, driven: "Sequence[tuple[str, DriveRecord]]") -> Step:
+    """The step to open loop, of planners that drove, as they were given, and have no record there."""
+    lacking = [
+        (record.facts.split, name)
+        for name, record in driven
         if record.complete
-        and not find_records_of(options.out, record.facts.data.name, options.split, record.facts.planner.name)
+        and not find_records_of(options.out, record.facts.data.name, record.facts.split, record.facts.planner.name)
     ]
+    splits, missing = (list(dict.fromkeys(column)) for column in zip(*lacking)) if lacking else ([], [])
     served = {"image_format": options.image_format, "frame": options.frame} if any(map(is_address, missing)) else {}
-    given = format_options(split=options.split, model=missing, checkpoint=options.checkpoint, **served)
+    given = format_options(split=splits, model=missing, checkpoint=options.checkpoint, **served)
     step = (f"eval{given}{repeat_data_options(options)}", "evaluate the same planners in open loop")
     return step if missing else None
-
-
-def _settings(options: DriveOptions, scenes: tuple[str, ...] | None, place: "Executor") -> "DriveSettings":
-    same = (
-        *("engine", "agents", "adversary_knows", "adversary_others", "adversary_rounds", "adversary_candidates"),
-        *("adversary_tracks", "keep_considered", "sensor", "accept_torch_tensors", "scenarios", "target", "until"),
-        *("runs", "limit", "seed"),
-    )
-    return api.drive_settings(
-        options.split,
-        adversary_every_s=options.adversary_every,
-        latency_ms=options.latency,
-        timeout_s=options.timeout,
-        scenes=scenes,
-        executor=place,
-        **{name: getattr(options, name) for name in same},
-    )
 
 
 def _require_engine(options: DriveOptions) -> None:
     """Refuse what engines of extensions have not, a latency that no engine has, and an adversary that there is not."""
     engine, latency = options.engine, options.latency
     if engine != "default":
-        if options.agents != "replay":
+        if options.agents not in (None, "replay"):
             raise InputError(
                 f"road users of {engine} never react; leave --agents {options.agents} out or use --engine default"
             )
@@ -277,8 +275,8 @@ def _require_engine(options: DriveOptions) -> None:
     of_adversary = (*(f"adversary_{name}" for name in about_adversary), "keep_considered")
     if options.agents != "adversary" and any(getattr(options, name) != getattr(usual, name) for name in of_adversary):
         raise InputError(
-            f"--agents {options.agents} has no adversary; use --agents adversary, or leave --adversary-... and "
-            "--keep-considered out"
+            f"--agents {options.agents or 'replay'} has no adversary; use --agents adversary, or leave --adversary-... "
+            "and --keep-considered out"
         )
 
 
@@ -316,6 +314,7 @@ def _settings_of(planner: "NamedPlanner", how: "DriveSettings") -> "DriveSetting
 
 def _show(records: "Sequence[DriveRecord]", options: DriveOptions) -> bool:
     """Print the tables; whether no planner failed."""
+    from benchmark.metrics.drive_effect import drive_effect_to_json
     from benchmark.records.drives import ROWS_FILE
     from leaderboard.tables.drives import describe_failures, drive_tables
 
@@ -328,6 +327,7 @@ def _show(records: "Sequence[DriveRecord]", options: DriveOptions) -> bool:
                     "status": record.facts.status,
                     "measured": record.facts.measured.model_dump(mode="json"),
                     "runs": record.facts.runs,
+                    **drive_effect_to_json(record, records),
                     **record.summary.model_dump(mode="json", by_alias=True),
                 }
                 for record in records

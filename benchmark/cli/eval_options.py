@@ -22,9 +22,7 @@ class EvalOptions:
     )
 
     model: shared.Models = ()
-    split: Annotated[
-        tuple[str, ...], Option("val, val-r, adv, or a split of the data set's own; may be repeated.", "Input")
-    ] = ("val", "adv")
+    split: shared.Splits = ("val", "adv")
     data: shared.Data = "mini"
     scenes: shared.Scenes = None
     limit: shared.Limit = None

@@ -40,6 +40,9 @@ Categories = Annotated[
 ]
 Out = Annotated[Path, Option("Folder for all output.", "Output")]
 Split = Annotated[str, Option("val, val-r, adv, or a split of the data set's own.", "Input")]
+Splits = Annotated[
+    tuple[str, ...], Option("val, val-r, adv, or a split of the data set's own; may be repeated.", "Input")
+]
 Scenes = Annotated[str | None, Option("Only these scenes, separated by commas.", "Input", separated=True)]
 Normalisation = Annotated[
     str | None, Option("Pixel values that the weights want, if the file is wrong on it.", "Planner")

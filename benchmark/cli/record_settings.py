@@ -35,16 +35,17 @@ def read_drive_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
         return None
     measured, config = members["measured"], members.get("config", {})
     facts, scenario_facts = measured.get("agents_facts", {}), measured.get("scenario_facts", {})
-    sensor = measured["sensor"]
+    sensor, windows_of = measured["sensor"], measured.get("windows_of")
     adversary = {"knows": "knows", "every": "every_s", "others": "others", "rounds": "rounds"}
     adversary["candidates"] = "candidates"
     searched = measured["agents"] == "adversary" and "every_s" in facts
     return {
         **_read_common_options(members),
-        "split": members["split"],
+        "split": [*([windows_of["split"]] if windows_of else []), members["split"]],
         "baselines": False,
         "engine": measured["engine"],
         "agents": measured["agents"],
+        "window": measured.get("window", "scene"),
         "sensor": sensor if sensor in ("none", "schematic") else None,
         "latency": measured.get("latency_ms"),
         "scenarios": scenario_facts.get("file", measured.get("scenarios")),

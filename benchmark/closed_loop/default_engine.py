@@ -31,6 +31,7 @@ from benchmark.machine.identity_cache import IdentityCache
 from benchmark.pdm.plan_motion import plan_to_poses
 from benchmark.planning import Plan
 from benchmark.records.drive_schema import NeuroncapScore, StopCondition
+from benchmark.records.encounter_window import EncounterWindow
 from benchmark.scene import Scene
 
 
@@ -65,15 +66,14 @@ def _build_idm_policy(scene: Scene, start_us: int, end_us: int) -> AgentPolicy[A
 
 
 def _build_policy(
-    scene: Scene, agents: str, start_us: int, end_us: int, adversary: int | None = None
+    scene: Scene, agents: str, start_us: int, end_us: int, on_track: Sequence[int] = ()
 ) -> AgentPolicy[Any]:
-    return POLICIES[agents](scene if adversary is None else _without_idm_control(scene, adversary), start_us, end_us)
+    return POLICIES[agents](_without_idm_control(scene, on_track) if on_track else scene, start_us, end_us)
 
 
-def _without_idm_control(scene: Scene, agent: int) -> Scene:
-    """The scene with a vehicle that no policy drives: until its hand-over an adversary does what its track says."""
-    names = list(scene.agents.categories)
-    names[agent] = _REPLAYED
+def _without_idm_control(scene: Scene, on_track: Sequence[int]) -> Scene:
+    """The scene with vehicles that no policy drives: adversaries do what their tracks say."""
+    names = [_REPLAYED if agent in on_track else name for agent, name in enumerate(scene.agents.categories)]
     return replace(scene, agents=replace(scene.agents, categories=tuple(names)))
 
 
@@ -92,13 +92,15 @@ class DefaultBackend:
     """Maker of rides of the default engine.
 
     A plan takes effect ``latency_us`` later than it was made for; the adversary is only put among the agents where
-    their policy is `ADVERSARY`; a drive ends at any contact, or at one that is the ego's fault.
+    their policy is `ADVERSARY`; a drive ends at any contact, or at one that is the ego's fault. A ``window`` is of one
+    scene: where the drive starts and ends, and which agents keep their tracks under any policy.
     """
 
     agents: str = "replay"
     latency_us: int = 0
     adversary: AdversaryFactory | None = None
     until: StopCondition = "contact"
+    window: EncounterWindow | None = None
 
     @property
     def draws(self) -> bool:
@@ -119,54 +121,66 @@ class DefaultBackend:
         """The ride at its first planning instant; refuses too short scenes, and unknown policies or latencies."""
         course = self.course(scene, run)
         first = int(scene.keyframes[0])
-        return DefaultSimulationState(
-            scene, course, begin_simulation(course), build_recorded_motion(scene, first, first)
-        )
+        motion, primed = build_recorded_motion(scene, first, first), self._span(scene)[0] + 1
+        return DefaultSimulationState(scene, course, begin_simulation(course), motion, primed)
 
     def course(self, scene: Scene, run: int) -> SimulationConfig:
         """The course of a run; raises `InputError` as `begin_simulation` does."""
         require_enough_keyframes(scene, PRIMING_STEPS + 2)
         if self.agents not in AGENTS:
             raise InputError(f"unknown agents {self.agents!r}; choose from {', '.join(AGENTS)}")
-        start_us, end_us = (int(scene.timestamps_us[scene.keyframes[at]]) for at in (PRIMING_STEPS, -1))
+        first, last = self._span(scene)
+        # Agents know where they drive beyond the window.
+        start_us, over_us, end_us = (int(scene.timestamps_us[scene.keyframes[at]]) for at in (first, last, -1))
         return build_simulation_config(
             scene,
             policy=self._agents(scene, run, start_us, end_us),
-            keyframe=PRIMING_STEPS,
+            keyframe=first,
+            duration_s=(over_us - start_us) * 1e-6,
             seed=run,
             latency_us=self.latency_us,
             blamed=EpisodeFaultAttribution(scene) if self.until == "fault" else None,
         )
 
+    def _span(self, scene: Scene) -> tuple[int, int]:
+        """Keyframes from which and up to which the ego drives."""
+        window = self.window
+        if window is None:
+            return PRIMING_STEPS, len(scene.keyframes) - 1
+        if not window.start < window.end < len(scene.keyframes) or not set(window.adversaries) <= set(scene.agents.ids):
+            raise InputError(f"the window of {window.of} does not fit {scene.name}; run the same drive again")
+        return window.start, window.end
+
     def _agents(self, scene: Scene, run: int, start_us: int, end_us: int) -> AgentPolicy[Any]:
         if self.agents != ADVERSARY:
-            return _policy_of(scene, self.agents, start_us, end_us)
+            kept = () if self.window is None else self.window.adversaries
+            on_track = tuple(scene.agents.ids.index(name) for name in kept)
+            return _policy_of(scene, self.agents, start_us, end_us, on_track)
         if self.adversary is None:
             raise InputError("the scene has no adversary; drive with --agents adversary, or with stored tracks")
         others = self.adversary.others
         return self.adversary.policy(
-            scene, run, start_us, lambda agent: _policy_of(scene, others, start_us, end_us, agent)
+            scene, run, start_us, lambda agent: _policy_of(scene, others, start_us, end_us, (agent,))
         )
 
 
 @dataclass(frozen=True, slots=True)
 class DefaultSimulationState:
-    """Ride of the default engine; ``world`` is that where driving starts, then now, ``motion`` everything so far."""
+    """Ride of the default engine; ``world`` is that where driving starts, then now, ``motion`` everything so far.
+
+    ``primed`` are planning instants at which the ego is the recorded one.
+    """
 
     scene: Scene
     course: SimulationConfig
     world: WorldState
     motion: EpisodeMotion
+    primed: int = PRIMING_STEPS + 1
 
     @property
     def start(self) -> int:
         """Keyframe of the first planning instant."""
         return 0
-
-    @property
-    def primed(self) -> int:
-        """Planning instants at which the ego is the recorded one."""
-        return PRIMING_STEPS + 1
 
     @property
     def is_running(self) -> bool:
@@ -209,7 +223,7 @@ class DefaultSimulationState:
     def advance_primed(self) -> "DefaultSimulationState | None":
         """The state half a second later on the recorded path, ignoring the plan; ``None`` after priming."""
         ticks = len(self.motion.ticks)
-        if ticks > PRIMING_STEPS:
+        if ticks >= self.primed:
             return None
         frames = self.scene.keyframes
         later = build_recorded_motion(self.scene, int(frames[ticks - 1]) + 1, int(frames[ticks]))

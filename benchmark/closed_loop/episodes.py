@@ -24,6 +24,7 @@ from benchmark.errors import InputError
 from benchmark.machine.metering import Meter
 from benchmark.planning import CameraView, Command, NoViews, Plan, Planner, PrivilegedPlanner, SceneInfo
 from benchmark.records.drive_schema import NeuroncapScore
+from benchmark.records.encounter_window import EncounterWindow
 from benchmark.scene import Camera, Scene
 
 End = Literal["contact", "end", "failed"]
@@ -42,6 +43,7 @@ class Episode:
         neuroncap: The engine's own score; ``None`` of engines without one, and of a failed drive.
         adversary: Where an adversary went, if there was one that answers or was given its track.
         passed: Contacts before that did not end it; they are not the ego's fault.
+        window: Part of the scene that was driven around an encounter, if only that was.
     """
 
     motion: EpisodeMotion
@@ -55,6 +57,7 @@ class Episode:
     neuroncap: NeuroncapScore | None
     adversary: AdversaryTrack | None = None
     passed: tuple[CollisionEvent, ...] = ()
+    window: EncounterWindow | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +76,11 @@ class EpisodeSpec:
     family: str = ""
     most_plans: int | None = None
     meter: Meter | None = None
+
+    @property
+    def window(self) -> EncounterWindow | None:
+        """The window of its engine; only the default one has any."""
+        return getattr(self.maker, "window", None)
 
 
 def run_episode(stage: EpisodeSpec, planner: Planner) -> Episode:
@@ -187,6 +195,7 @@ class _Simulation:
             neuroncap=None if failed else ride.neuroncap_score(),
             adversary=ride.adversary,
             passed=() if failed else ride.passed,
+            window=self.stage.window,
         )
 
 

@@ -5,7 +5,7 @@ without what nuScenes lacks; fault during an episode is told by the same rules a
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -16,7 +16,7 @@ from benchmark.closed_loop.episodes import Episode
 from benchmark.closed_loop.nuplan import DrivenPart
 from benchmark.closed_loop.plan_tracking import Ego
 from benchmark.closed_loop.route import Route, build_driven_scene, hold_last_frame
-from benchmark.closed_loop.simulation_state import CollisionEvent
+from benchmark.closed_loop.simulation_state import SUBSTEPS, CollisionEvent
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats, box_corners
 from benchmark.interactions.contacts import (
@@ -105,7 +105,8 @@ _WEIGHTS: Final = (5.0, 5.0, 2.0)
 class RouteProgress:
     """Progress along the route from the first driven instant to the last scored one, metres.
 
-    ``recorded_m`` is the recorded ego's in the same time, ``whole_m`` to the last keyframe of the recording.
+    ``recorded_m`` is the recorded ego's in the same time, ``whole_m`` to the last keyframe of the recording, or of
+    the window.
     """
 
     metres: float
@@ -137,7 +138,7 @@ def compute_nuplan_terms(
     outside = measure_outside_m(part, road)
     off = np.flatnonzero(outside >= OFF_ROAD_M)
     wrong = measure_along_route(part.states[None], route, where.oncoming, where.center_in_intersection).wrong_way_m
-    least = compute_least_ttc(part, where)
+    least = float(compute_ttc(part, where).min())
     is_at_fault = contact is not None and contact.at_fault
     share = progress.relative_to_recorded
     nc, dac, mp = compute_no_collision(contact), 0.0 if len(off) else 1.0, float(share >= LEAST_PROGRESS)
@@ -191,18 +192,18 @@ def measure_outside_m(part: DrivenPart, road: RoadPolygons) -> Floats:
     return np.asarray(away.max(axis=-1))
 
 
-def compute_least_ttc(part: DrivenPart, where: RoadPositions) -> float:
-    """The smallest time to collision of all instants, infinite above 2.9 s.
+def compute_ttc(part: DrivenPart, where: RoadPositions) -> Floats:
+    """(F,) time to collision at each instant, infinite above 2.9 s.
 
     Both go on as they are; any object ahead counts, and where the ego is in several lanes, off the road or in an
     intersection any that is not behind. An object touched at an instant can no longer be hit.
     """
     boxes, speed = compute_footprints(part.states), part.states[:, SPEED]
     agents = np.array([is_agent_category(category) for category in part.scene.agents.categories], np.bool_)
-    near = _find_near(part, boxes, speed)
-    agent_rows, instants = np.nonzero(near)
+    agent_rows, instants = np.nonzero(_find_near(part, boxes, speed))
+    least = np.full(len(speed), np.inf)
     if not len(agent_rows):
-        return float("inf")
+        return least
     pairs = ContactPairs(
         boxes[instants],
         speed[instants],
@@ -213,7 +214,8 @@ def compute_least_ttc(part: DrivenPart, where: RoadPositions) -> float:
     angle = compute_bearing(pairs.ego, pairs.other)
     unsure = (where.multiple_lanes | where.non_drivable | where.axle_in_intersection)[0, instants]
     counts = ((angle < AHEAD_RAD) | (unsure & (angle <= BEHIND_RAD))) & (pairs.gap > 0.0)
-    return float(np.where(counts, pairs.time_to_contact_nuplan, np.inf).min())
+    np.minimum.at(least, instants, np.where(counts, pairs.time_to_contact_nuplan, np.inf))
+    return least
 
 
 def _find_near(part: DrivenPart, boxes: Floats, speed: Floats) -> Bools:
@@ -258,20 +260,20 @@ def compute_completed_share(scene: Scene, drive: Episode, first: int) -> float:
 
     ``first`` is the keyframe of the first planning instant.
     """
-    start = first + drive.primed - 1
-    recorded = scene.ego.pose[scene.keyframes[start:], :2]
+    start, end = first + drive.primed - 1, None if drive.window is None else drive.window.end + 1
+    recorded = scene.ego.pose[scene.keyframes[start:end], :2]
     driven = drive.motion.ego[drive.motion.ticks[drive.primed - 1 :], :2]
     nearest = np.hypot(*(driven[:, None] - recorded[None]).transpose(2, 0, 1)).argmin(axis=1)
     return float(min(1.0, (nearest.max() + 1) / (COMPLETE_AT * len(recorded))))
 
 
 def score_collision(
-    scene: Scene, touch: CollisionEvent, start_us: int, *, unsure: bool, adversary: int | None = None
+    scene: Scene, touch: CollisionEvent, start_us: int, *, unsure: bool, adversaries: Collection[str] = ()
 ) -> ScoredContact:
     """A contact in numbers; ``start_us`` is the first driven instant.
 
     ``unsure`` is an ego in several lanes or off the drivable area, which makes a lateral contact its fault;
-    ``adversary`` became one in this drive alone.
+    ``adversaries`` are those of this drive alone.
     """
     pair = touch.pair
     kind = KINDS[int(pair.kinds[0])]
@@ -281,7 +283,7 @@ def score_collision(
         seconds=(touch.time_us - start_us) * 1e-6,
         agent=touch.uuid,
         category=touch.category,
-        adversary=touch.uuid in scene.adversaries or touch.agent == adversary,
+        adversary=touch.uuid in scene.adversaries or touch.uuid in adversaries,
         kind=kind.value,
         at_fault=is_at_fault(kind, unsure),
         impact_speed=float(impact[0]),
@@ -300,7 +302,7 @@ class EpisodeScores:
 
     ``comfortable`` says if all of it is within nuPlan's bounds, ``None`` of less than 1.5 s; ``nuplan`` and ``hd`` are
     ``None`` where the map has no road or no lanes, and of NeuroNCAP's engine. ``contact`` ended it, ``passed`` ones did
-    not.
+    not. ``ttc_s`` is the smallest time to collision of each half second driven in a window, infinite above 2.9 s.
     """
 
     contact: ScoredContact | None
@@ -309,6 +311,7 @@ class EpisodeScores:
     nuplan: NuplanTerms | None
     hd: HdScore | None
     passed: tuple[ScoredContact, ...] = ()
+    ttc_s: tuple[float, ...] = ()
 
 
 def score_episode(scene: Scene, drive: Episode) -> EpisodeScores:
@@ -321,15 +324,16 @@ def score_episode(scene: Scene, drive: Episode) -> EpisodeScores:
     where = locate_segment(road, part)
     known = bool(road.drivable and road.lanes)
     unsure = is_lane_ambiguous(road, where)[0]
-    pursuer = None if drive.adversary is None else drive.adversary.agent
+    pursuers = [] if drive.adversary is None else [scene.agents.ids[drive.adversary.agent]]
+    pursuers += [] if drive.window is None else drive.window.adversaries
 
     def scored_touch(touch: CollisionEvent) -> ScoredContact:
         at = min(int(np.searchsorted(part.times_us, touch.time_us)), len(unsure) - 1)
         start_us = int(part.times_us[0])
-        return score_collision(scene, touch, start_us, unsure=bool(unsure[at]), adversary=pursuer)
+        return score_collision(scene, touch, start_us, unsure=bool(unsure[at]), adversaries=pursuers)
 
     contact = None if drive.touch is None else scored_touch(drive.touch)
-    progress = measure_progress(route, part)
+    progress = measure_progress(route, part, None if drive.window is None else drive.window.end)
     scored = known and drive.neuroncap is None
     return EpisodeScores(
         contact=contact,
@@ -338,11 +342,17 @@ def score_episode(scene: Scene, drive: Episode) -> EpisodeScores:
         nuplan=compute_nuplan_terms(part, road, where, line, progress, contact) if scored else None,
         hd=compute_hd_score(scene, route, drive) if scored else None,
         passed=tuple(scored_touch(touch) for touch in drive.passed),
+        ttc_s=() if drive.window is None else _reduce_by_tick(compute_ttc(part, where)),
     )
 
 
-def measure_progress(route: Route, part: DrivenPart) -> RouteProgress:
-    """How far along the route a drive came."""
+def _reduce_by_tick(ttc: Floats) -> tuple[float, ...]:
+    """The smallest of each half second, the last of which may be short."""
+    return tuple(np.minimum.reduceat(ttc, np.arange(0, len(ttc), SUBSTEPS)).tolist())
+
+
+def measure_progress(route: Route, part: DrivenPart, last_keyframe: int | None = None) -> RouteProgress:
+    """How far along the route a drive came; ``last_keyframe`` is where its window ends, by default the recording's."""
     station = route.place(part.states[0]).station
     near = station
     for state in part.states[1::5]:
@@ -350,5 +360,6 @@ def measure_progress(route: Route, part: DrivenPart) -> RouteProgress:
     end = route.place(part.states[-1], near).station
     first, last = (route.seconds_of(int(part.times_us[at])) for at in (0, -1))
     recorded = route.recorded_station(last) - route.recorded_station(first)
-    full_length = route.recorded_station(float(route.step_seconds[-1])) - route.recorded_station(first)
+    over = float(route.step_seconds[-1 if last_keyframe is None else last_keyframe])
+    full_length = route.recorded_station(over) - route.recorded_station(first)
     return RouteProgress(end - station, recorded, full_length)

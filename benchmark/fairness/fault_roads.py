@@ -171,7 +171,8 @@ class FaultRoads:
         around = bounds[:, lanes, None]
         low, high = points.T - reach_m, points.T + reach_m
         met = (around[0] <= high[0]) & (around[1] <= high[1]) & (around[2] >= low[0]) & (around[3] >= low[1])
-        return lanes[met.any(axis=1)]
+        met_lanes: Indices = lanes[met.any(axis=1)]
+        return met_lanes
 
     def locate(self, points: Floats, lanes: Indices | Sequence[int]) -> LanePlaces:
         """Where (Q, 2) points are beside lanes."""

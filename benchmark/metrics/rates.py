@@ -44,13 +44,17 @@ class PairedDifference:
     enough: int | None
 
 
-def compute_paired_difference(differences: Floats, weights: Floats) -> PairedDifference:
+def compute_paired_difference(
+    differences: Floats, weights: Floats, *, differs: Bools | None = None, most: float = 1.0
+) -> PairedDifference:
     """The ratio of both sums, and its interval.
 
     ``differences`` are (N,) weighted sums over each recording's pairs, ``weights`` (N,) sums of their weights, all
-    above zero.
+    above zero. ``differs`` are (N,) recordings that count as differing, by default those whose difference is not zero;
+    no difference is larger than ``most``.
     """
-    count, differing = len(weights), int(np.count_nonzero(np.abs(differences) > 1e-12))
+    differs = np.abs(differences) > 1e-12 if differs is None else differs
+    count, differing = len(weights), int(np.count_nonzero(differs))
     if not count:
         return PairedDifference(None, None, None, 0, 0, None)
     total = float(weights.sum())
@@ -63,7 +67,29 @@ def compute_paired_difference(differences: Floats, weights: Floats) -> PairedDif
     residuals = differences - value * weights
     deviation = math.sqrt(count / (count - 1) * float((residuals**2).sum())) / total
     reach = float(stats.t.ppf(0.975, count - 1)) * deviation
-    return PairedDifference(value, max(value - reach, -1.0), min(value + reach, 1.0), count, differing, None)
+    return PairedDifference(value, max(value - reach, -most), min(value + reach, most), count, differing, None)
+
+
+def count_needed_recordings(difference: PairedDifference) -> int | None:
+    """How many recordings would leave 0 out of the interval, if the difference and its spread stayed as they are.
+
+    ``None`` where the interval leaves it out already, and where no number can be told: without a difference, or before
+    there is an interval and nothing differs.
+    """
+    value, low, high = difference.value, difference.low, difference.high
+    if value is None or low is None or high is None:
+        return difference.enough
+    if not value or low > 0.0 or high < 0.0:
+        return None
+    from scipy import stats
+
+    # An end may be cut where no difference is larger.
+    reach, count = max(value - low, high - value), difference.recordings
+    spread = reach / float(stats.t.ppf(0.975, count - 1)) * math.sqrt(count)
+    needed = max(count + 1, math.floor(float(stats.norm.ppf(0.975) * spread / value) ** 2))
+    while float(stats.t.ppf(0.975, needed - 1)) * spread >= abs(value) * math.sqrt(needed):
+        needed += 1
+    return needed
 
 
 def fewest_differing(recordings: int) -> int:

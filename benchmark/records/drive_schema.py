@@ -7,6 +7,7 @@ from pydantic import ConfigDict, Field, SerializerFunctionWrapHandler, model_ser
 
 from benchmark.machine.storage import content_key
 from benchmark.metrics.rates import Rate
+from benchmark.records.encounter_window import EncounterWindow, WindowName
 from benchmark.records.run_schema import Name, RecordFacts, Version
 from benchmark.records.scene_assessment import KindName, NotNegative
 from benchmark.records.stored import Stored
@@ -40,6 +41,9 @@ class ClosedLoopDefinition(Stored):
         agents_facts: What else they depend on: budget, knowledge and version of an adversary, and the policy of those
             beside it. Not written where there is nothing.
         until: What ended a drive before its time. Not written where it is any contact.
+        window: Part of each scene that was driven. Not written where it is all of it.
+        windows_of: Of recordings that are driven as an adversarial split is: its name, and the hash of its windows. Not
+            written of all others.
     """
 
     engine: Name
@@ -51,19 +55,26 @@ class ClosedLoopDefinition(Stored):
     scenario_facts: dict[str, Any] = Field(default_factory=dict)
     agents_facts: dict[str, Any] = Field(default_factory=dict)
     until: StopCondition = "contact"
+    window: WindowName = "scene"
+    windows_of: dict[str, str] = Field(default_factory=dict)
 
     @model_serializer(mode="wrap")
     def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        written = _without_empty(write(self), "agents_facts", "scenario_facts")
-        return {name: value for name, value in written.items() if (name, value) != ("until", "contact")}
+        written = _without_empty(write(self), "agents_facts", "windows_of", "scenario_facts")
+        usual = (("until", "contact"), ("window", "scene"))
+        return {name: value for name, value in written.items() if (name, value) not in usual}
 
     @property
     def world(self) -> str:
-        """Engine, agents, latency, end of a drive: settings that records of one table share, with any sensor."""
+        """Engine, agents, latency, window and end of a drive: what records of one table share, with any sensor."""
         facts = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in sorted(self.agents_facts.items()))
         agents = f", agents {self.agents}{f' ({facts})' if facts else ''}" if self.engine == "default" else ""
         late = f", latency {self.latency_ms} ms" if self.latency_ms else ""
-        return f"{self.engine}{self._scenarios}{agents}{late}{'' if self.until == 'contact' else ', until fault'}"
+        of = f"{' of' if self.window == 'encounter' else ', as'} {self.windows_of['split']}" if self.windows_of else ""
+        window = f"{', window encounter' if self.window == 'encounter' else ''}{of}"
+        return (
+            f"{self.engine}{self._scenarios}{agents}{late}{window}{'' if self.until == 'contact' else ', until fault'}"
+        )
 
     @property
     def _scenarios(self) -> str:
@@ -305,6 +316,9 @@ class EpisodeRow(Stored):
         passed: Contacts before `contact` that did not end it, none of them the ego's fault; not written if none.
         unlabelled: Whether annotations are missing, or in a part of the scene: the drive says nothing of contacts then.
             Not written where it is labelled throughout.
+        window: Part of the scene that was driven around an encounter; not written of drives without one.
+        ttc_s: Smallest time to collision of each half second driven in a window, null above 2.9 s; not written of all
+            others.
     """
 
     scene: Name
@@ -312,7 +326,7 @@ class EpisodeRow(Stored):
     run: Annotated[int, Field(ge=0, lt=MOST_RUNS)]
     status: Literal["ok", "failed"]
     end: Literal["contact", "end", "failed"]
-    primed: Annotated[int, Field(ge=1, le=100)]
+    primed: Annotated[int, Field(ge=1, le=10_000)]
     ticks: TickRows
     plans: list[EpisodePlan]
     contact: ScoredContact | None
@@ -322,10 +336,12 @@ class EpisodeRow(Stored):
     ladder: dict[str, LadderOutcome] | None = None
     passed: list[ScoredContact] = Field(default_factory=list)
     unlabelled: bool = False
+    window: EncounterWindow | None = None
+    ttc_s: list[NotNegative | None] = Field(default_factory=list)
 
     @model_serializer(mode="wrap")
     def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return _without_empty(write(self), "adversary", "ladder", "passed", "unlabelled")
+        return _without_empty(write(self), "adversary", "ladder", "passed", "unlabelled", "window", "ttc_s")
 
     @property
     def first_contact(self) -> ScoredContact | None:

@@ -174,16 +174,17 @@ def _compute_values(row: EpisodeRow) -> dict[str, float | None]:
         both = {NNS: outcome.score, COLLISION_RATE: hit}
         families = {f"{name}_{row.family}": value for name, value in both.items()} if row.family else {}
         return {**both, "impact_speed": speed, **common, **families}
+    touches = [touch for touch in (*row.passed, contact) if touch is not None]
     values: dict[str, float | None] = {
         "contact": float(first is not None),
         "at_fault": float(contact is not None and contact.at_fault),
-        "with_adversary": float(
-            any(collision is not None and collision.adversary for collision in (*row.passed, contact))
-        ),
+        "with_adversary": float(any(touch.adversary for touch in touches)),
         "impact_speed": None if first is None else first.impact_speed,
         "delta_v": None if first is None else first.delta_v_ego,
         **common,
     }
+    if row.window is not None:
+        values["with_bystander"] = float(any(not touch.adversary for touch in touches))
     if row.ladder is not None:
         values |= {f"survives_{name}": float(outcome.survives) for name, outcome in row.ladder.items()}
     if row.fair is not None:

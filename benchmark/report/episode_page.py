@@ -1,5 +1,6 @@
 """A drive as it is drawn: the world as it was driven, each instant's plan, the recorded path, the contact."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -7,7 +8,8 @@ import numpy as np
 
 from benchmark.geometry import Floats
 from benchmark.records.drive_schema import EpisodeRow
-from benchmark.records.scene_pages import StoredScenePage
+from benchmark.records.encounter_window import EncounterWindow
+from benchmark.records.scene_pages import PageAgent, StoredScenePage
 from benchmark.records.search_trace import SearchTraceFrame
 from benchmark.report.overlays import (
     CandidatesOverlay,
@@ -20,6 +22,10 @@ from benchmark.report.overlays import (
 from benchmark.report.palette import PlannerStyle
 from benchmark.report.placement import PlacedPlan, frame_seconds
 
+STRIP_S: Final = 3.0
+"""Time to collision at which its strip is empty."""
+STEP_S: Final = 0.5
+"""Of a strip."""
 PLAN_VISIBLE_S: Final = 3.0
 """A contact is announced so long before."""
 
@@ -93,6 +99,63 @@ class EpisodePage:
             contact = replace(soon, seconds=soon.seconds - plan_time_s)
         verdict = PlanVerdict(contact is not None, "", "", counted=False)
         return PlanOverlay(name, style, self.plans[planned_at], contact, verdict, age_s=time_s - plan_time_s)
+
+
+@dataclass(frozen=True, slots=True)
+class StripStep:
+    """Half a second of the strip below a drive: from ``start_s`` to ``end_s``, the smallest time to collision."""
+
+    start_s: float
+    end_s: float
+    ttc_s: float
+
+    @property
+    def share(self) -> float:
+        """0 without danger to 1 at a contact."""
+        return 1.0 - self.ttc_s / STRIP_S
+
+
+def list_strip_steps(row: EpisodeRow, begins_s: float) -> list[StripStep]:
+    """Half seconds of a drive in a window with a time to collision; ``begins_s`` is when driving begins."""
+    steps = (
+        (begins_s + STEP_S * number, ttc) for number, ttc in enumerate(row.ttc_s) if ttc is not None and ttc < STRIP_S
+    )
+    return [StripStep(start, start + STEP_S, ttc) for start, ttc in steps]
+
+
+def list_touches(row: EpisodeRow, begins_s: float) -> list[tuple[float, str, bool]]:
+    """When the ego touched whom, and whether that was the adversary; seconds and words."""
+    touches = [*row.passed, *([] if row.contact is None else [row.contact])]
+    return [
+        (
+            begins_s + touch.seconds,
+            f"{'the adversary' if touch.adversary else touch.category}, {'' if touch.at_fault else 'not '}at fault",
+            touch.adversary,
+        )
+        for touch in touches
+    ]
+
+
+def mark_from_departure(
+    agents: Iterable[PageAgent], window: EncounterWindow | None, seconds: Floats
+) -> Iterator[PageAgent]:
+    """Agents of a sheet, those of a window as others until it departs and as adversaries from then on.
+
+    ``seconds`` are (F,) of the sheet's frames.
+    """
+    for agent in agents:
+        if window is None or agent.id not in window.adversaries:
+            yield agent
+            continue
+        departs_s = 0.0 if window.departs_s is None else window.departs_s
+        at = max(int(np.searchsorted(seconds, departs_s - 1e-3)) - agent.first, 0)
+        before, after = (
+            {name: getattr(agent, name)[part] for name in ("x_m", "y_m", "yaw_rad")}
+            for part in (slice(at), slice(at, None))
+        )
+        if before["x_m"]:
+            yield agent.model_copy(update={**before, "adversary": False})
+        yield agent.model_copy(update={**after, "adversary": True, "first": agent.first + at})
 
 
 def compute_speeds(points: Floats, seconds: Floats) -> Floats:

@@ -36,7 +36,7 @@ def estimate_driving(data: "DataSet", split: str, planner: PlannerFactory, setti
             scene,
             read_recorded_can(data, scene.name),
             0,
-            settings.maker,
+            job.maker_of(units[0]),
             settings.sensor,
             settings.timeout_s,
             units[0].family,

@@ -1,11 +1,11 @@
 """Settings of closed-loop runs, and their jobs: units of work, and where each is stored."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from benchmark.closed_loop.adversary import ADVERSARY
-from benchmark.closed_loop.default_engine import describe_agents, read_stop_condition
+from benchmark.closed_loop.default_engine import DefaultBackend, describe_agents, read_stop_condition
 from benchmark.closed_loop.episodes import EpisodeSpec
 from benchmark.closed_loop.observation_builder import NoSensor, Sensor
 from benchmark.closed_loop.planner_calls import DEFAULT_TIMEOUT_S
@@ -16,8 +16,10 @@ from benchmark.interactions.driver_simulation import REFERENCE_DRIVER_KINDS
 from benchmark.machine.storage import content_key
 from benchmark.machine.workers import Executor, LocalProcesses
 from benchmark.records.drive_schema import MOST_RUNS, OF_FILE, ClosedLoopDefinition, EpisodeRow
+from benchmark.records.encounter_window import ON_TRACK, EncounterWindow, WindowName
 from benchmark.records.run_schema import LABELS, PlannerFacts
 from benchmark.runs.code_identity import code_sha256, is_current
+from benchmark.runs.encounters import Windows, find_windows, hash_windows
 from benchmark.runs.plan_rows import PlannerFactory
 from benchmark.runs.redriving import read_recorded_can
 from benchmark.runs.units import ResultStore
@@ -34,16 +36,18 @@ _LOOP: Final = "benchmark.closed_loop.episodes:run_episode"
 
 @dataclass(frozen=True, slots=True)
 class EpisodeUnit:
-    """One scene, one of its scenarios if it has any, and one run."""
+    """One scene, one of its scenarios or windows if it has any, and one run."""
 
     scene: str
     run: int
     family: str = ""
+    window: EncounterWindow | None = None
 
     @property
     def name(self) -> str:
         """Of its file."""
-        return "-".join([self.scene, *([self.family] if self.family else []), str(self.run)])
+        of = [self.window.of] if self.window is not None and self.window.of != self.scene else []
+        return "-".join([self.scene, *([self.family] if self.family else []), *of, str(self.run)])
 
 
 Paths = list[list[list[float]]]
@@ -95,7 +99,15 @@ class ClosedLoopJob:
         adversary = getattr(self.maker, "adversary", None)
         code += [] if adversary is None else [code_sha256(type(adversary))]
         definition = self.measured.model_dump(mode="json")
-        return content_key("drive", FORMAT, self.fingerprint, unit.scene, unit.family, unit.run, who, definition, code)
+        window = [] if unit.window is None else [repr(unit.window)]
+        which = (unit.scene, unit.family, unit.run, *window)
+        return content_key("drive", FORMAT, self.fingerprint, *which, who, definition, code)
+
+    def maker_of(self, unit: EpisodeUnit) -> SimulatorBackend:
+        """The engine that drives a unit."""
+        if unit.window is None or not isinstance(self.maker, DefaultBackend):
+            return self.maker
+        return replace(self.maker, window=unit.window)
 
     def kept(self, unit: EpisodeUnit) -> CachedEpisode | None:
         """Stored result of a unit, made by code as it is now."""
@@ -143,6 +155,10 @@ class DriveSettings:
         fresh: Drive again even where drives are kept.
         together: So many drives at most are under way side by side in a process, of planners that a factory builds and
             that draw nothing from a generator of the process; the result does not depend on it.
+        window: Which part of adversarial scenes is driven; adversaries keep their tracks among ``idm`` agents then.
+            ``None`` drives scenes as recordings are driven: all of each, and ``idm`` drives everybody.
+        windows: Windows of scenes where they are known already; found in the data set otherwise.
+        windows_of: The adversarial split whose windows they are, where recordings are driven.
     """
 
     engine: str
@@ -162,6 +178,9 @@ class DriveSettings:
     ladder: tuple[str, ...] = tuple(driver.value for driver in REFERENCE_DRIVER_KINDS)
     keep_considered: bool = False
     timings: Path | None = None
+    window: WindowName | None = None
+    windows: Windows | None = None
+    windows_of: str | None = None
 
     @property
     def processes(self) -> int:
@@ -171,6 +190,8 @@ class DriveSettings:
     @property
     def measured(self) -> ClosedLoopDefinition:
         """The definition that a record of these drives measures."""
+        on_track = ON_TRACK if self.window is not None and self.agents == "idm" else {}
+        of = {} if self.windows_of is None else {"split": self.windows_of, "windows": hash_windows(self.windows or {})}
         return ClosedLoopDefinition.model_validate(
             {
                 "engine": self.engine,
@@ -181,7 +202,9 @@ class DriveSettings:
                 "scenarios": self.scenarios,
                 "scenario_facts": getattr(self.maker, "scenario_facts", {}),
                 "until": read_stop_condition(self.maker),
-                "agents_facts": describe_agents(self.maker),
+                "agents_facts": {**describe_agents(self.maker), **on_track},
+                "window": self.window or "scene",
+                "windows_of": of,
             }
         )
 
@@ -204,7 +227,12 @@ class DriveSettings:
         """Units of some scenes, none perhaps; refuses a number of runs that no record holds."""
         if not 1 <= self.runs <= MOST_RUNS:
             raise InputError(f"--runs must be at least 1 and at most {MOST_RUNS}, got {self.runs}")
-        units = []
+        units: list[EpisodeUnit] = []
+        if self.window is not None and scenes:
+            windows = self.windows or find_windows(data, scenes, whole=self.window == "scene")
+            runs = range(self.runs_made)
+            driven = ((scene, window) for scene in scenes for window in windows.get(scene, ()))
+            return [EpisodeUnit(scene, run, window=window) for scene, window in driven for run in runs]
         for scene in scenes:
             families = self.maker.families(lambda: (data.scene(scene), read_recorded_can(data, scene)))  # noqa: B023 - called at once
             units += [EpisodeUnit(scene, run, family) for family in families for run in range(self.runs_made)]

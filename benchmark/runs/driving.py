@@ -319,6 +319,8 @@ def drives_directory(
     parts = [measured.engine, *([measured.agents] if measured.engine == "default" else []), measured.sensor]
     parts += [measured.scenarios] if measured.scenarios != "recorded" else []
     parts += [f"{measured.latency_ms}ms"] if measured.latency_ms else []
+    parts += [] if measured.window == "scene" else [measured.window]
+    parts += ["as", *measured.windows_of.values()] if measured.windows_of else []
     parts += ["until-fault"] if measured.until == "fault" else []
     parts += [
         content_key(facts)[:8]

@@ -19,9 +19,9 @@ from benchmark.records.drive_schema import EpisodeRow
 from benchmark.records.drives import DriveRecord
 from benchmark.records.scene_pages import PageCamera, ScenePage, StoredScenePage, picture_name
 from benchmark.records.search_trace import read_search_trace
-from benchmark.report.episode_page import EpisodePage, compute_speeds
+from benchmark.report.episode_page import EpisodePage, compute_speeds, mark_from_departure
 from benchmark.report.overlays import CollisionMark, find_shared_point
-from benchmark.report.placement import ego_pose, place_waypoints
+from benchmark.report.placement import ego_pose, frame_seconds, place_waypoints
 from benchmark.runs.redriving import StoredPlans, redrive_with_sensor
 from benchmark.scene import Scene
 from benchmark.scene_pages.page_building import build_page_to_draw
@@ -63,10 +63,14 @@ def write_episode_page(
     episode = redrive_with_sensor(maker, sensor or NoSensor(), scene, data, row, plans)
     driven = _with_its_adversary(build_driven_scene(scene, Route.of(scene), episode.motion), row)
     sheet = build_page_to_draw(driven).model_copy(update={"data": record.facts.data, "split": record.facts.split})
+    agents = tuple(mark_from_departure(sheet.agents, row.window, frame_seconds(sheet)))
+    sheet = sheet.model_copy(update={"agents": agents})
     first = len(driven.timestamps_us) - len(episode.motion.times_us)
     asked_at = [first + int(tick) for tick in episode.motion.ticks]
     if sensor is not None:
-        sheet = _with_pictures(folder, driven, sheet, asked_at, plans.seen)
+        departs_s = None if row.window is None else row.window.departs_s
+        marked = [at for at in asked_at if departs_s is None or driven.seconds[at] >= departs_s - 1e-3]
+        sheet = _with_pictures(folder, driven, sheet, asked_at, plans.seen, marked)
     # One plan per planned instant: a failed drive has an instant without a plan.
     placed_plans = {
         frame: place_waypoints(
@@ -96,15 +100,21 @@ def write_episode_page(
 
 def _with_its_adversary(driven: Scene, row: EpisodeRow) -> Scene:
     """The scene with who drove adversarially among its adversaries: in a recording it is one of the others."""
-    if row.adversary is None or row.adversary.uuid in driven.adversaries:
-        return driven
-    return replace(driven, adversaries=(*driven.adversaries, row.adversary.uuid))
+    names = [] if row.adversary is None else [row.adversary.uuid]
+    names += [] if row.window is None else row.window.adversaries
+    more = tuple(name for name in names if name not in driven.adversaries)
+    return replace(driven, adversaries=(*driven.adversaries, *more)) if more else driven
 
 
 def _with_pictures(
-    folder: Path, driven: Scene, sheet: ScenePage, frames: list[int], views_of_ticks: list[dict[str, CameraView]]
+    folder: Path,
+    driven: Scene,
+    sheet: ScenePage,
+    frames: list[int],
+    views_of_ticks: list[dict[str, CameraView]],
+    marked: list[int],
 ) -> ScenePage:
-    """Write what the planner saw at each instant; returns the sheet that names it."""
+    """Write what the planner saw at each instant; returns the sheet that names it, adversaries at ``marked`` frames."""
     cells: tuple[PageCamera, ...] = lay_out_cameras(
         {name: view.camera for name, view in views_of_ticks[0].items()}, CELL_WIDTH_PX
     )
@@ -115,7 +125,7 @@ def _with_pictures(
         write_bytes(folder / path, draw_mosaic(cells, views), durable=False)
         files[path] = file_sha256(folder / path)
         edges_of_frame = project_adversary_edges(driven, cells, views)
-        if edges_of_frame:
+        if edges_of_frame and frame in marked:
             edges[str(frame)] = edges_of_frame
     pictured = tuple(frames[: len(views_of_ticks)])
     return sheet.model_copy(update={"cameras": cells, "pictures": pictured, "adversary_edges": edges, "files": files})

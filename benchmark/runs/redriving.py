@@ -56,7 +56,9 @@ def _make_episode_spec(
 
 
 def _with_its_adversary(maker: SimulatorBackend, row: EpisodeRow) -> SimulatorBackend:
-    """A maker whose adversary drives its stored track again, without a search."""
+    """A maker whose adversary drives its stored track again, without a search, in the window of the row."""
+    if row.window is not None and isinstance(maker, DefaultBackend):
+        return replace(maker, window=row.window)
     track = decode_adversary_track(row)
     if track is None or not isinstance(maker, DefaultBackend) or maker.adversary is None:
         return maker

@@ -94,7 +94,17 @@ class ComparableDrives:
         ]
         marks = list_planner_marks(record.facts.planner for record in self.records)
         lacking = caveat_notes(record.facts for record in self.records)
-        return [*self._list_sensor_notes(), *([FEW_NOTE] if few else []), *marks, *lacking, *stale]
+        whole, few_notes = self._list_whole_scenes(), [FEW_NOTE] if few else []
+        return [*self._list_sensor_notes(), *whole, *few_notes, *marks, *lacking, *stale]
+
+    def _list_whole_scenes(self) -> list[str]:
+        """Of windows around an encounter: which scenes are driven whole."""
+        if self.records[0].facts.measured.window == "scene":
+            return []
+        windows = (row.window for record in self.records for row in record.rows)
+        whole = sorted({window.of for window in windows if window is not None and window.departs_s is None})
+        named = f"{', '.join(whole[:3])}{' ...' if len(whole) > 3 else ''}"
+        return [f"Driven whole, as nothing says where their adversaries depart: {named}."] if whole else []
 
     def _list_sensor_notes(self) -> list[str]:
         measured = [record.facts.measured for record in self.records if record.facts.measured.sensor == self.sensor]
@@ -110,6 +120,7 @@ def group_comparable_drives(records: Sequence[DriveRecord]) -> list[ComparableDr
         facts = record.facts
         review = None if facts.review is None else facts.review.content
         key = [facts.data.name, facts.data.fingerprint, review, facts.split, facts.measured.world, facts.scenes]
+        key += [json.dumps(facts.measured.windows_of)]
         kinds.setdefault(json.dumps(key), []).append(record)
     groups = [ComparableDrives(*group_values) for alike in kinds.values() for group_values in _group_by_sensor(alike)]
     for group in groups:
@@ -157,6 +168,8 @@ def _name_groups(groups: Sequence[ComparableDrives]) -> list[ComparableDrives]:
         words += [measured.agents] if measured.engine == "default" else []
         words += [measured.scenarios] if measured.scenarios != "recorded" else []
         words += [f"{measured.latency_ms}ms"] if measured.latency_ms else []
+        words += [] if measured.window == "scene" else [measured.window]
+        words += ["as", measured.windows_of["split"]] if measured.windows_of else []
         words += ["until-fault"] if measured.until == "fault" else []
         words += [group.sensor] if group.sensor != NO_SENSOR else []
         words += ["part"] if part else []

@@ -8,7 +8,10 @@ others are unknown, and has all of the scene, each while present, if a vehicle t
 * ``recordedPath``: x, y in turn of the recorded body, centimetres as steps;
 * ``contact``: ``{t, x, y}`` seconds and metres of the contact that ended it, or null;
 * ``moved``: where there was an adversary that answers, its track, as ``agents`` has it; it takes the place of its own;
-* ``considered``: where it was kept, what that adversary considered (`build_search_trace`).
+* ``considered``: where it was kept, what that adversary considered (`build_search_trace`);
+* ``opens`` and ``strip``: of a drive in a window around an encounter, when it begins, and the elements of a strip below
+  the time line: time to collision of each half second, and who was touched. ``agents`` are those that keep their
+  tracks, each adversary as two: an ordinary vehicle until it departs.
 
 The ego is between the stored states, half a second apart, where a cubic through their places and speeds leads.
 """
@@ -27,6 +30,7 @@ from benchmark.records.drives import DriveRecord
 from benchmark.records.scene_pages import PageAgent, ScenePage, ScenePages
 from benchmark.records.search_trace import SearchTraceFrame, read_search_trace
 from benchmark.report.cells import format_number
+from benchmark.report.episode_page import list_strip_steps, list_touches, mark_from_departure
 from benchmark.report.overlays import find_shared_point, rank_candidates
 from benchmark.report.placement import agent_box, agent_box_at, ego_box, ego_pose, frame_seconds, place_waypoints
 from leaderboard.frame.drives import group_comparable_drives
@@ -59,7 +63,8 @@ class _NamedDrive:
     @property
     def key(self) -> str:
         """Key in addresses and file names."""
-        return content_key("drive", self.record.content_id, self.row.scene, self.row.family, self.row.run)[:16]
+        of = [] if self.row.window is None else [self.row.window.of]
+        return content_key("drive", self.record.content_id, self.row.scene, self.row.family, self.row.run, *of)[:16]
 
     @property
     def scene(self) -> tuple[str, str, str]:
@@ -129,7 +134,13 @@ def _seconds_of_ticks(row: EpisodeRow, sheet: ScenePage) -> Floats:
 
 
 def _describe_view(named_drive: _NamedDrive, sheets: ScenePages) -> str:
-    moved = _adversary_is_shown(named_drive, sheets)
+    moved, window = _adversary_is_shown(named_drive, sheets), named_drive.row.window
+    who = "the adversary as it drove"
+    if window is not None:
+        is_made = window.of == named_drive.row.scene
+        who = "the adversary" if is_made else f"the vehicle that becomes the adversary of {window.of}"
+        who += "" if window.departs_s is None else f", from {format_number(window.departs_s, 1)} s on"
+        who += ", when it departs from its recording" if is_made and window.departs_s is not None else ""
     others = (
         "The others are where the recording has them."
         if named_drive.shows_all_agents
@@ -138,7 +149,7 @@ def _describe_view(named_drive: _NamedDrive, sheets: ScenePages) -> str:
     )
     return (
         "Green is the driven ego, the pale dashes are the recorded path, the line with marks is the plan of each "
-        f"instant. {'Orange is the adversary as it drove. ' if moved else ''}{others}"
+        f"instant. {f'Orange is {who}. ' if moved else ''}{others}"
     )
 
 
@@ -160,7 +171,10 @@ def _has_scene_page(named_drive: _NamedDrive, sheets: ScenePages) -> bool:
 def _adversary_is_shown(named_drive: _NamedDrive, sheets: ScenePages) -> bool:
     if not _has_scene_page(named_drive, sheets):
         return False
-    return build_driven_adversary(sheets.scenes[named_drive.scene].sheet, named_drive.row) is not None
+    sheet, window = sheets.scenes[named_drive.scene].sheet, named_drive.row.window
+    if window is not None:
+        return any(agent.id in window.adversaries for agent in sheet.agents)
+    return build_driven_adversary(sheet, named_drive.row) is not None
 
 
 def _build_drive(named_drive: _NamedDrive, sheet: ScenePage) -> dict[str, Any]:
@@ -193,15 +207,52 @@ def _build_drive(named_drive: _NamedDrive, sheet: ScenePage) -> dict[str, Any]:
         "edges": {},
     }
     removal_times = _find_removal_times(row, ticks)
-    if not named_drive.shows_all_agents or removal_times:
-        visible_agents = sheet.agents if named_drive.shows_all_agents else ()
-        tracks = [_cut_track(agent, seconds, removal_times) for agent in visible_agents]
+    if not named_drive.shows_all_agents or removal_times or row.window is not None:
+        tracks = [_cut_track(agent, seconds, removal_times) for agent in _list_known_agents(named_drive, sheet)]
+        tracks = [*mark_from_departure(tracks, row.window, frame_seconds(sheet))]
         data["agents"] = [build_agent(track) for track in tracks if track.x_m]
     if adversary is not None:
         data["moved"] = build_agent(_cut_track(adversary, seconds, removal_times))
+    if row.window is not None:
+        begins_s = float(ticks[min(row.primed, len(ticks)) - 1])
+        data |= {"opens": round(begins_s, 3), "strip": _build_strip(row, begins_s, float(seconds[-1]))}
     search_trace = read_search_trace(named_drive.record.directory, row)
     data |= {} if search_trace is None else {"considered": build_search_trace(sheet, search_trace)}
     return data | _build_plans(named_drive, seconds, ticks, states)
+
+
+def _list_known_agents(named_drive: _NamedDrive, sheet: ScenePage) -> Sequence[PageAgent]:
+    """Who is where the sheet has it: all where nobody answers, else those that keep their tracks by a window."""
+    if named_drive.shows_all_agents:
+        return sheet.agents
+    window = named_drive.row.window
+    return [agent for agent in sheet.agents if window is not None and agent.id in window.adversaries]
+
+
+def _build_strip(row: EpisodeRow, begins_s: float, end_s: float) -> list[list[str]]:
+    """Elements of the strip below the time line: kind, place, title and text of each."""
+    bars = [
+        [
+            "ttc",
+            f"left:{100 * step.start_s / end_s:.2f}%;"
+            f"width:{100 * (min(step.end_s, end_s) - step.start_s) / end_s:.2f}%;"
+            f"height:{100 * step.share:.0f}%",
+            f"time to collision {format_number(step.ttc_s, 1)} s at {format_number(step.start_s, 1)} s",
+            "",
+        ]
+        for step in list_strip_steps(row, begins_s)
+        if step.start_s < end_s
+    ]
+    touches = [
+        [
+            "touch cp-touch-adversary" if adversary else "touch",
+            f"left:{min(100 * seconds / end_s, 100):.2f}%",
+            f"touches {words} at {format_number(seconds, 1)} s",
+            f"{words} ✕",
+        ]
+        for seconds, words, adversary in list_touches(row, begins_s)
+    ]
+    return [*bars, *touches]
 
 
 def _find_removal_times(row: EpisodeRow, ticks: Floats) -> dict[str, float]:
@@ -282,7 +333,7 @@ def _build_contact(
     x, y, yaw = interpolate_poses(np.array([t]), ticks, states)[0]
     ego, ahead = sheet.ego, sheet.ego.centre_ahead_m
     box = np.array([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), ego.length_m, ego.width_m, yaw])
-    known = [*([] if adversary is None else [adversary]), *(sheet.agents if named_drive.shows_all_agents else ())]
+    known = [*([] if adversary is None else [adversary]), *_list_known_agents(named_drive, sheet)]
     agent = next((known_agent for known_agent in known if known_agent.id == row.contact.agent), None)
     other = None if agent is None else agent_box_at(sheet, agent, t)
     point = box[:2] if other is None else find_shared_point(box, other)

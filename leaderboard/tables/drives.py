@@ -31,6 +31,7 @@ from leaderboard.frame.specification import (
     tabulate,
     text_columns,
 )
+from leaderboard.tables.paired_drives import paired_drive_tables
 
 DISAGREEMENTS = "loops-scenes"
 """How names of tables of single scenes begin."""
@@ -182,6 +183,8 @@ _DEFAULT: Final[tuple[_MeasuredColumn, ...]] = (
     ("nuplan_c", "C", "", False),
     ("hd_score", "HD formula", "", True),
 )
+_BYSTANDERS: Final[_MeasuredColumn] = ("with_bystander", "bystanders %", PERCENT, False)
+"""Of windows around an encounter: drives with a contact with anybody but the adversary."""
 _NEURONCAP: Final[tuple[_MeasuredColumn, ...]] = (
     (NNS, "NNS", "points", True),
     (COLLISION_RATE, "CR %", PERCENT, True),
@@ -212,6 +215,7 @@ _BRIEF: Final = (
     *("impact_speed", "route", "off_road", "comfortable", "nuplan_score", "hd_score", "failed", "drives"),
 )
 """Columns of our own engine in a terminal; the only interval is that of fault."""
+_BRIEF_OF_WINDOWS: Final = ("with_adversary", "with_bystander")
 _NOTE_CONTACT: Final = (
     "Contact: with any object; at fault: by nuPlan's rules (docs/severity.md). Impact speed and delta-v: means "
     "over contacts. Route: driven share of the recorded path. "
@@ -241,20 +245,21 @@ def drive_tables(records: Sequence[DriveRecord]) -> list[Table]:
         records: Of any planners.
 
     Returns:
-        The tables, NeuroNCAP's engines last.
+        The tables, NeuroNCAP's engines last, then those of adversarial drives paired with drives of the recordings.
 
     Raises:
         InputError: If two records would share a row.
     """
-    return [_table(group) for group in group_comparable_drives(records)]
+    groups = group_comparable_drives(records)
+    return [*map(_table, groups), *paired_drive_tables(groups)]
 
 
 def _table(group: ComparableDrives) -> Table:
     first, own = group.records[0].facts, group.records[0].facts.measured.engine == "default"
     fair = any("survives_cc" in record.summary.columns for record in group.records)
-    measured = (
-        (*_DEFAULT[:2], *(_FAIRNESS if fair else ()), *_DEFAULT[2:]) if own else _neuroncap_columns(group.records)
-    )
+    windows = any("with_bystander" in record.summary.columns for record in group.records)
+    further = (*(_FAIRNESS if fair else ()), *_DEFAULT[2:3], *((_BYSTANDERS,) if windows else ()), *_DEFAULT[3:])
+    measured = (*_DEFAULT[:2], *further) if own else _neuroncap_columns(group.records)
     published = any(record.summary.published is not None for record in group.records)
     columns = [
         *text_columns("planner", "sensor"),
@@ -267,7 +272,7 @@ def _table(group: ComparableDrives) -> Table:
     notes = (*(own_notes if own else _NOTES_NEURONCAP), *([_PUBLISHED_NOTE] if published else ()))
     notes = (*notes, *([_NOTE_FAIRNESS] if fair else []), _FAILED_NOTE, *group.notes)
     rows = [_values(row, {name: unit for name, _, unit, _ in measured}) for row in group.rows]
-    brief = _BRIEF if own else [column.key for column in columns]
+    brief = (*_BRIEF, *_BRIEF_OF_WINDOWS[: 2 * windows]) if own else [column.key for column in columns]
     failed = [_FAILED_NOTE] if any(record.summary.failed for record in group.records) else []
     brief_notes = (*failed, *group.notes)
     return tabulate(f"drives-{group.name}", group.title, columns, rows, notes, brief=brief, brief_notes=brief_notes)

@@ -158,7 +158,7 @@ def recompute_drives(record: DriveRecord, data: "DataSet") -> Iterator[GradedSen
             f"was scored by version {facts.scoring}, not {DRIVE_SCORING}; run the same drive again",
         )
         return
-    driven = {(row.scene, row.family, row.run) for row in record.rows}
+    driven = {(row.scene, row.family, row.run, row.window) for row in record.rows}
     if len(driven) != len(record.rows) or {row.scene for row in record.rows} != set(facts.scenes):
         yield FindingLevel.ERROR, "has duplicate drives, or scenes without a drive; run the same drive again"
         return

@@ -1,6 +1,7 @@
 """Films of drives, frame by frame: what the planner saw, the driven world from above, how fast it went."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Final
 
 import cv2
@@ -14,7 +15,7 @@ from benchmark.report.birdseye import BirdseyeScene
 from benchmark.report.canvas import SHIFT, Picture, sanitise_name, text_width, truncate_to_width, write_text
 from benchmark.report.captions import LegendEntry, draw_entry, draw_swatch
 from benchmark.report.cells import MINIATURE_WORDS
-from benchmark.report.episode_page import EpisodePage
+from benchmark.report.episode_page import STRIP_S, EpisodePage, list_strip_steps, list_touches
 from benchmark.report.overlays import Overlay
 from benchmark.report.palette import (
     ADVERSARY,
@@ -58,6 +59,7 @@ OUTCOME_WORDS: Final[dict[FrameAction, str]] = {
 }
 _EDGE_PX: Final = 14
 _CHART_PX: Final = 240
+_STRIP_PX: Final = 54
 _LEAST_TOP_M_S: Final = 5.0
 
 
@@ -65,7 +67,12 @@ class DriveFilm:
     """One drive's film."""
 
     def __init__(self, driven: EpisodePage, record: DriveRecord, name: str, settings: FilmSettings) -> None:
-        """Find what is to be shown; a drive that ends before the film begins is an `InputError`."""
+        """Find what is to be shown, of a window from its beginning on if nothing else is asked for.
+
+        A drive that ends before the film begins is an `InputError`.
+        """
+        if driven.row.window is not None and not settings.begin_s:
+            settings = replace(settings, begin_s=float(driven.seconds[driven.begins]))
         self.driven, self.record, self.name, self.settings = driven, record, name, settings
         self.layout = _choose_layout(driven, settings.layout)
         self._sheet, self._style = driven.stored.sheet, choose_planner_style(0)
@@ -154,6 +161,9 @@ class DriveFilm:
         foot = image.shape[0] - 12 - (16 if miniature else 0)
         if miniature:
             write_text(image, MINIATURE_WORDS, (_EDGE_PX, foot + 14.0), size_px=12, colour=FAINT_INK)
+        if self.driven.row.window is not None:
+            foot -= _STRIP_PX
+            self._draw_strip(image, frame, foot + 10, foot + _STRIP_PX)
         self._draw_speed(image, frame, max(top + 74, foot - _CHART_PX), foot)
 
     def _draw_legend(self, image: Picture) -> int:
@@ -215,6 +225,30 @@ class DriveFilm:
         if row.failure is not None and over:
             return [f"the planner failed ({row.failure.reason}): nothing is scored"]
         return lines
+
+    def _draw_strip(self, image: Picture, frame: int, top: int, bottom: int) -> None:
+        """Smallest time to collision of each half second so far, on the time line of the speed, and who was touched."""
+        driven, right = self.driven, image.shape[1] - 70
+        now, begins = float(driven.seconds[frame]), float(driven.seconds[driven.begins])
+        end = max(float(driven.recorded_seconds[-1]), float(driven.seconds[-1]), 1e-3)
+
+        def place(seconds: float) -> int:
+            return round(_EDGE_PX + min(seconds, now) / end * (right - _EDGE_PX))
+
+        steps = [step for step in list_strip_steps(driven.row, begins) if step.start_s <= now]
+        touches = [touch for touch in list_touches(driven.row, begins) if touch[0] <= now + 1e-6]
+        high = top + 16
+        last = next((f"{step.ttc_s:.1f} s" for step in steps if now < step.end_s), f"above {STRIP_S:.0f} s")
+        write_text(image, f"time to collision: {last}", (_EDGE_PX, top + 4.0), size_px=12)
+        cv2.line(image, (_EDGE_PX, bottom), (right, bottom), RULE, 1)
+        for step in steps:
+            level = round(bottom - step.share * (bottom - high))
+            shade = mix_colours(CONTACT, PANEL, 1.0 - 0.3 - 0.7 * step.share)
+            cv2.rectangle(image, (place(step.start_s), level), (place(step.end_s) - 1, bottom), shade, -1)
+        for seconds, words, adversary in touches:
+            cv2.line(image, (place(seconds), high), (place(seconds), bottom), ADVERSARY if adversary else CONTACT, 2)
+            text = truncate_to_width(f"touches {words}", right - _EDGE_PX - 190, size_px=12)
+            write_text(image, text, (right, top + 4.0), size_px=12, colour=CONTACT, anchor="right")
 
     def _draw_speed(self, image: Picture, frame: int, top: int, bottom: int) -> None:
         """Speed driven so far, over that of the recording."""

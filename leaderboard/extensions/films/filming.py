@@ -223,7 +223,10 @@ def write_drive_film(
     film, facts = DriveFilm(driven, record, name, settings), record.facts
     parts = [driven.row.scene, name, facts.measured.engine, facts.measured.agents, facts.measured.sensor]
     parts += [f"{facts.measured.latency_ms}ms"] if facts.measured.latency_ms else []
+    parts += [] if facts.measured.window == "scene" else [facts.measured.window]
     parts += ["until-fault"] if facts.measured.until == "fault" else []
+    window = driven.row.window
+    parts += ["as", window.of] if window is not None and window.of != driven.row.scene else []
     parts += [driven.row.family] if driven.row.family else []
     parts += [f"run{driven.row.run}"] if facts.runs > 1 else []
     target, label = to / sanitise_file_name("-".join(parts)), f"filming {name} in {driven.row.scene}"

@@ -21,8 +21,7 @@ const TIMES_S = [1, 2, 5, 10, 20, 60, 300], MOST_TIMES = 12;
 /** Makes a viewer once a scene's script is there. @param {HTMLElement} place @param {string} key
  * @param {(scene: Scene) => Viewer} make @param {(sentence: string) => void} otherwise What to do without one. */
 function playIn(place, key, make, otherwise) {
-  let made = /** @type {Viewer|null} */ (null);
-  let gone = false;
+  let [made, gone] = [/** @type {Viewer|null} */ (null), false];
   place.replaceChildren(element("p", { class: "cp-loading", role: "status" }, "Loading the scene …"));
   loadScene(key).then((scene) => {
     if (!scene.frames.length) throw new LoadError("No record and no sheet has a sample of this scene.");
@@ -180,7 +179,8 @@ class Player extends Viewer {
     this.chosen = options.compare ? unique([...asked, ...names]).slice(0, 2)
       : names.filter((name) => wanted.includes(name));
     this.compare = Boolean(options.compare) && this.chosen.length > 0;
-    this.frame = frameAt(scene, options.t ?? Math.max(decisive(scene, this.shown(), this.judge()) - BEFORE_S, 0));
+    const begins = () => scene.opens ?? Math.max(decisive(scene, this.shown(), this.judge()) - BEFORE_S, 0);
+    this.frame = frameAt(scene, options.t ?? begins());
     this.scrub.max = String(this.last);
     place.replaceChildren(this.build());
     this.fillLanes();
@@ -393,6 +393,10 @@ class Player extends Viewer {
         element("span", { class: "cp-name cp-quiet" }, this.compare ? "" : "planners"),
         element("div", { class: "cp-track cp-range" }, this.scrub,
           element("div", { class: "cp-ticks", "aria-hidden": "true" }, ticks, times))),
+      scene.strip && element("div", { class: "cp-row" }, element("span", { class: "cp-name cp-quiet" }, "time to collision"),
+        element("div", { class: "cp-track cp-strip", "data-testid": "player-strip" }, scene.strip.map(
+          // A style that is an attribute is refused (Content-Security-Policy).
+          ([kind, style, title, words]) => Object.assign(element("i", { class: `cp-${kind}`, title }, words), { style })))),
       this.lanes);
   }
 

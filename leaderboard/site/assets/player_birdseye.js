@@ -153,9 +153,8 @@ class BirdsEye extends GroundView {
   }
 
   drawEgo() {
-    const { colours, scene } = this;
     const box = this.egoBox(this.state.frame);
-    if (box) this.boxes([box], colours.ego, true, scene.ego ? 2 : 1);
+    if (box) this.boxes([box], this.colours.ego, true, this.scene.ego ? 2 : 1);
   }
 
   /** @param {number} frame @returns {Box|null} The recorded body; without a sheet that of any planner's start. */

@@ -140,8 +140,7 @@ function decode(raw) {
     ego: ego && { ...ego, x: unpack(ego.x, count, CENTIMETRE), y: unpack(ego.y, count, CENTIMETRE),
       yaw: unpack(ego.yaw, count, MILLIRADIAN) },
     recorded: (raw.recorded ?? []).map((/** @type {number[]} */ way) => unpackPath(way, CENTIMETRE)),
-    recordedPath: raw.recordedPath ? unpackPath(raw.recordedPath, CENTIMETRE) : null,
-    contact: raw.contact ?? null,
+    recordedPath: raw.recordedPath ? unpackPath(raw.recordedPath, CENTIMETRE) : null, contact: raw.contact ?? null,
     considered: (raw.considered ?? []).map((/** @type {any} */ { t, did, paths, shares, chosen }) => ({
       t, did, shares: shares.map((/** @type {number} */ share) => share / 100),
       paths: paths.map((/** @type {number[]} */ path) => unpackPath(path, DECIMETRE)),

@@ -211,6 +211,9 @@ interface Scene {
   recorded: Float64Array[];
   recordedPath: Float64Array | null;
   contact: { t: number; x: number; y: number } | null;
+  /** Of a drive in a window: when it begins; kind, style, title and text of each element of the strip. */
+  opens?: number;
+  strip?: string[][];
   considered: { t: number; did: string; shares: number[]; paths: Float64Array[]; chosen: Float64Array | null }[];
   cameras: { name: string; left: number; top: number; width: number; height: number }[];
   pictures: number[];

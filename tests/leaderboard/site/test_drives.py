@@ -202,3 +202,41 @@ def opened(browser: Browser, index: str, route: str) -> str:
     browser.one("player-scrub")
     browser.frames()
     return str(browser.js("return document.querySelector('main').innerText"))
+
+
+def windowed(folder: Path, sheet: ScenePage) -> DriveRecord:
+    """A drive around an encounter with the sheet's last agent, which departs at 1.5 s."""
+    window = {"of": sheet.scene, "start": 2, "end": 6, "adversaries": [sheet.agents[-1].id], "departs_s": 1.5}
+    measured = {"engine": "default", "agents": "idm", "sensor": "none", "window": "encounter"}
+    return drive_of(folder, sheet, measured=measured, window=window, ttc_s=[None, 1.5, 0.2])
+
+
+def test_a_drive_around_an_encounter_opens_there_and_marks_the_adversary_from_its_departure(
+    site: Site, tmp_path: Path
+) -> None:
+    sheet = first_sheet(site)
+    driven = windowed(tmp_path, sheet)
+    (said,) = build_drive_index([driven], site.sheets)
+    assert "window encounter" in said["measured"] and "Orange is the adversary, from 1.5 s on" in said["note"]
+    drive = value_of(build_drive_files([driven], site.sheets)[f"data/scenes/{said['key']}.js"])
+    # Driving begins at 1 s; of the half seconds from there the first is without danger.
+    assert drive["opens"] == pytest.approx(1.0)
+    kinds = [kind for kind, *_ in drive["strip"]]
+    assert kinds == ["ttc", "ttc", "touch cp-touch-adversary"] and "height:50%" in drive["strip"][0][1]
+    assert "touches the adversary, at fault at 2.3 s" in drive["strip"][2][2]
+    before, after = drive["agents"]
+    assert (before["id"], before["adversary"]) == (after["id"], False) and after["adversary"]
+    assert before["first"] + before["count"] == after["first"]
+    assert drive["frames"][after["first"]] == pytest.approx(1.5, abs=0.05)
+
+
+def test_the_page_of_a_window_opens_there_with_its_strip(site: Site, browser: Browser, tmp_path: Path) -> None:
+    driven = [windowed(tmp_path / "d", first_sheet(site))]
+    start = write_site(read_results(site.records, sheets=site.sheets, drives=driven), tmp_path / "site")
+    (entry,) = build_drive_index(driven, site.sheets)
+    text = opened(browser, start, f"#/drive/{entry['key']}")
+    assert "time to collision" in text and "the adversary, at fault" in text
+    assert browser.one("player-time").text.startswith("1.0")
+    bars = "return [...document.querySelectorAll('.cp-ttc')].map((bar) => bar.getBoundingClientRect().height);"
+    low, high = browser.js(bars)
+    assert high > low > 0.0

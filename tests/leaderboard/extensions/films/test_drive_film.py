@@ -30,6 +30,8 @@ from tests.benchmark.records.hand_made_records import CLEAN, HIT
 from tests.benchmark.records.test_drives import written as written_drives
 from tests.benchmark.report import one_scene
 from tests.benchmark.runs.test_driving import town
+from tests.benchmark.runs.test_encounters import cut_in
+from tests.benchmark.runs.test_encounters import data as adversarial_data
 from tests.benchmark.runs.test_episode_pages import Clock, driven
 from tests.generation.extensions.reactive_adversary.loops import SETTINGS as ADVERSARY_SETTINGS
 from tests.generation.extensions.reactive_adversary.loops import rides
@@ -219,3 +221,19 @@ def test_a_film_from_sheets_and_records(tmp_path: Path) -> None:
     missing = run_here(*command, "--scenes", "scene-9")
     default, refusal = missing.err.splitlines()
     assert missing.code == 2 and "challenger-bench sheets" in refusal and default.startswith("split adv, the default")
+
+
+def test_a_film_of_a_window_begins_there_and_marks_the_adversary_when_it_departs(tmp_path: Path) -> None:
+    scene, data = cut_in(), adversarial_data()
+    settings = DriveSettings("default", DefaultBackend("idm"), "idm", window="encounter")
+    record = drive_split(data, "adv", Straight(), tmp_path / "out", settings)
+    driven = write_episode_page(tmp_path, data, record, record.rows[0], DefaultBackend("idm"), None)
+    film = film_of((record, driven))
+    assert driven.seconds[film.frames[0]] == pytest.approx(3.0, abs=0.05) == driven.seconds[driven.begins]
+    assert driven.seconds[film_of((record, driven), begin_s=0.5).frames[0]] == pytest.approx(0.5, abs=0.1)
+    pictures = dict(zip(film.frames, film))
+    orange = {frame: pixels_of(picture[TITLE_PX:, WIDTH_PX - 500 :], ADVERSARY) for frame, picture in pictures.items()}
+    departs = min(frame for frame in orange if driven.seconds[frame] >= scene.seconds[72] + 0.05)
+    assert max(count for frame, count in orange.items() if frame < departs - 1) < 50 < orange[departs] / 2
+    strip = {frame: pixels_of(picture[-60:, :300], CONTACT) for frame, picture in pictures.items()}
+    assert record.rows[0].contact is not None and strip[film.frames[0]] == 0 < strip[film.frames[-1]]
