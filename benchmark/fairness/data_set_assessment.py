@@ -57,10 +57,17 @@ def assess_data_set(
 def read_adversarial_scene(data: DataSet, name: str, recordings: DataSet | None) -> Scene:
     """Scene with its adversaries: those that no recording has, where the data set does not name them."""
     scene = data.scene(name)
-    source = data.scene_facts([name])[name].source
-    if scene.adversaries or recordings is None or source not in recordings.scene_names(None):
+    if scene.adversaries or (recorded := find_recording(data, name, recordings)) is None:
         return scene
-    return functools.reduce(_mark_adversary, find_generated_agents(scene, recordings.scene(source)), scene)
+    return functools.reduce(_mark_adversary, find_generated_agents(scene, recorded), scene)
+
+
+def find_recording(data: DataSet, name: str, recordings: DataSet | None) -> Scene | None:
+    """What a scene was made from, as ``recordings`` have it; ``None`` where it is not at hand, and of a recording."""
+    source = data.scene_facts([name])[name].source
+    if recordings is None or source not in recordings.scene_names(None):
+        return None
+    return None if source == name and recordings.root == data.root else recordings.scene(source)
 
 
 def read_launches(data: DataSet, scene: Scene) -> dict[str, int]:

@@ -90,7 +90,7 @@ def place_plan(row: SampleRow, axle: Floats) -> PlacedPlan | None:
     if row.plan is None:
         return None
     plan, ahead = row.plan, row.lidar_ahead_m
-    lidar = _lidar_pose(axle, ahead)
+    lidar = place_lidar(axle, ahead)
     try:
         judged = np.array(plan.waypoints[:PLAN_STEPS], np.float64).reshape(PLAN_STEPS, 2)
         waypoints = waypoints_in_lidar(judged, plan.frame, ahead)
@@ -120,7 +120,7 @@ def place_waypoints(waypoints: Floats, frame: str, ahead_m: float, axle: Floats)
     """
     if len(waypoints) < PLAN_STEPS:
         return None
-    lidar = _lidar_pose(axle, ahead_m)
+    lidar = place_lidar(axle, ahead_m)
     judged = waypoints_in_lidar(np.asarray(waypoints[:PLAN_STEPS], np.float64), frame, ahead_m)
     return PlacedPlan(
         waypoints=to_global(judged, lidar),
@@ -131,7 +131,8 @@ def place_waypoints(waypoints: Floats, frame: str, ahead_m: float, axle: Floats)
     )
 
 
-def _lidar_pose(axle: Floats, ahead_m: float) -> Floats:
+def place_lidar(axle: Floats, ahead_m: float) -> Floats:
+    """(3,) pose of the lidar at a (3,) pose of the rear axle."""
     heading = np.array([np.cos(axle[2]), np.sin(axle[2])])
     # The lidar frame's first axis points to the right.
     return np.array([*(axle[:2] + ahead_m * heading), axle[2] - np.pi / 2])

@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmark.closed_loop.default_engine import PRIMING_STEPS
 from benchmark.errors import InputError
-from benchmark.fairness.data_set_assessment import MOVED_M, read_adversarial_scene, read_launches
+from benchmark.fairness.data_set_assessment import MOVED_M, find_recording, read_adversarial_scene, read_launches
 from benchmark.geometry import Bools, Floats
 from benchmark.interactions.tracks import ContinuousTracks
 from benchmark.machine.storage import content_key
@@ -114,8 +114,7 @@ def find_recorded_agent(scene: Scene, name: str, recorded: Scene, until_s: float
 
 def _find_window(data: "DataSet", name: str, recordings: "DataSet | None", *, whole: bool) -> EncounterWindow:
     scene, source = read_adversarial_scene(data, name, recordings), data.scene_facts([name])[name].source
-    has_source = recordings is not None and source != name and source in recordings.scene_names(None)
-    recorded = recordings.scene(source) if recordings is not None and has_source else None
+    recorded = None if source == name else find_recording(data, name, recordings)
     departs_s = find_departure(scene, read_launches(data, scene), recorded)
     last = len(scene.keyframes) - 1
     if last < PRIMING_STEPS + 1:

@@ -30,9 +30,17 @@ class McapOptions:
         str | None, Option("Planners whose plans go along, by commas; all that have a record of the split.", "Input")
     ] = None
     drives: Annotated[Path | None, Option("Folder of records of drives that go along.", "Input")] = None
+    recordings: Annotated[
+        str | None,
+        Option("What the scenes were made from, where ROOT lacks it: for adversaries' recorded tracks.", "Input"),
+    ] = None
     images: Annotated[Literal["keyframes", "all", "none"], Option("Which images of cameras go along.", "Output")] = (
         "keyframes"
     )
+    image_quality: Annotated[
+        int | None,
+        Option("Encode images anew as JPEG of this quality; else files as they are.", "Output", min=1, max=100),
+    ] = None
     out: shared.Out = api.OUT
     tables: shared.Tables = None
     workers: shared.Workers = 0
@@ -52,6 +60,10 @@ def export_mcap_command(options: McapOptions) -> None:
     preview = data.require(named) if split is None else data.require_split(split, named, options.limit)
     require_place(options.to, "--to")
     require_folder(options.drives, "--drives")
+    recordings = None
+    if options.recordings is not None:
+        recordings = api.DataSource.of(options, data=options.recordings, tables=None)
+        recordings.require()
     if options.dry_run and preview is not None and preview.builds:
         text = f"split {split} would be built first; its files have no size yet"
         print_result({"files": None}, text, json_output=options.json_output)
@@ -59,12 +71,16 @@ def export_mcap_command(options: McapOptions) -> None:
     records, drives = _read_plans(options), _read_drives(options)
     from benchmark.extensions.mcap.exporting import McapContents, estimate_bytes, export_mcap
 
-    dataset = data.open() if split is None else data.open_split(split)
+    source = data.open()
+    dataset = source if split is None else data.open_split(split, source)
     names = [name for name in dataset.scene_names(split) if named is None or name in named][: options.limit]
     drives = [drive for drive in drives if drive.facts.data.fingerprint == dataset.fingerprint()]
     if options.drives is not None and not drives:
         raise InputError(f"--drives {options.drives} holds no drives of these scenes; drive them, or leave it out")
-    contents = McapContents(tuple(records), tuple(drives), options.images, split)
+    made_from = source if recordings is None else recordings.open()
+    contents = McapContents(
+        tuple(records), tuple(drives), options.images, split, made_from, image_quality=options.image_quality
+    )
     if options.dry_run:
         sizes = {name: estimate_bytes(dataset, name, contents) for name in names}
         total = f"{pluralise(len(sizes), 'file')} of about {sum(sizes.values()) / 1e6:.1f} MB"

@@ -6,16 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 from benchmark.constants import VERSION
 from benchmark.datasets.roots import DataSet
 from benchmark.datasets.scene_facts import find_frozen_split
 from benchmark.errors import InputError
+from benchmark.extensions.mcap.camera_images import ImageChoice, find_images
 from benchmark.extensions.mcap.planner_messages import JUDGE, add_drive, add_plans
-from benchmark.extensions.mcap.scene_messages import ADVERSARY_TOPIC, Images, SceneLabels, add_scene, require_images
+from benchmark.extensions.mcap.scene_messages import ADVERSARY_TOPIC, AdversaryFacts, add_scene
 from benchmark.extensions.mcap.timeline import MAP, Primitives, Timeline, load_messages
-from benchmark.fairness.data_set_assessment import read_launches
+from benchmark.fairness.data_set_assessment import find_recording, read_adversarial_scene, read_launches
 from benchmark.machine.progress import CountedUnits
 from benchmark.machine.storage import lock_folder, sanitise_file_name, write_bytes
 from benchmark.machine.workers import map_ordered
@@ -24,7 +25,6 @@ from benchmark.records.run import RunRecord
 from benchmark.scene import Scene
 
 LAYOUT_FILE: Final = "layout.json"
-ImageChoice = Literal["keyframes", "all", "none"]
 _BYTES_OF_A_BOX: Final = 14
 _BYTES_OF_A_PLAN: Final = 450
 _BYTES_OF_A_FRAME: Final = 260
@@ -40,12 +40,16 @@ class McapContents:
         drives: Of driving.
         images: Those of key frames, all, or none.
         split: Of the data set, for the metadata.
+        recordings: What its scenes were made from, for where adversaries went there.
+        image_quality: 1 to 100, of images that are encoded anew; ``None`` for the files as they are.
     """
 
     records: tuple[RunRecord, ...] = ()
     drives: tuple[DriveRecord, ...] = ()
     images: ImageChoice = "keyframes"
     split: str | None = None
+    recordings: DataSet | None = None
+    image_quality: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,11 +107,13 @@ def _write(dataset: DataSet, to: Path, contents: McapContents, name: str) -> Wri
 
 def encode_mcap(dataset: DataSet, name: str, contents: McapContents) -> tuple[bytes, int]:
     """The bytes of a scene's file, and the number of its messages; decoded they are the same on every run."""
-    scene = dataset.scene(name)
+    scene = read_adversarial_scene(dataset, name, contents.recordings)
     timeline, make = Timeline(), Primitives()
     facts = dataset.scene_facts([name])[name]
-    labels = SceneLabels(read_launches(dataset, scene), facts.manoeuvre)
-    add_scene(timeline, make, scene, find_images(dataset, name, contents.images), labels)
+    recorded = find_recording(dataset, name, contents.recordings) if scene.adversaries else None
+    adversaries = AdversaryFacts(read_launches(dataset, scene), facts.manoeuvre, recorded)
+    images = find_images(dataset, name, contents.images, contents.image_quality)
+    add_scene(timeline, make, scene, images, adversaries)
     for record in contents.records:
         version = record.run.protocols.get(JUDGE, 0)
         add_plans(timeline, make, scene, record.planner, record.rows_of(name), version)
@@ -120,18 +126,13 @@ def encode_mcap(dataset: DataSet, name: str, contents: McapContents) -> tuple[by
     return stream.getvalue(), len(timeline.entries)
 
 
-def find_images(dataset: DataSet, name: str, images: ImageChoice) -> Images:
-    """Images of a scene by camera; none where the data set has none of the files."""
-    return {} if images == "none" else require_images(name, dataset.videos(name, sweeps=images == "all"))
-
-
 def estimate_bytes(dataset: DataSet, name: str, contents: McapContents) -> int:
-    """About how large a scene's file will be: images exactly, all else by what it had elsewhere."""
+    """About how large a scene's file will be: images as they are exactly, all else by what it had elsewhere."""
     scene = dataset.scene(name)
-    images = find_images(dataset, name, contents.images)
-    pictures = sum(view.path.stat().st_size for views in images.values() for view in views)
-    plans = sum(len(record.rows_of(name)) for record in contents.records)
-    steps = sum(len(row.ticks.time_us) for drive in contents.drives for row in drive.rows if row.scene == name)
+    pictures = find_images(dataset, name, contents.images, contents.image_quality).count_bytes()
+    drives = [row for drive in contents.drives for row in drive.rows if row.scene == name]
+    plans = sum(len(record.rows_of(name)) for record in contents.records) + sum(len(row.plans) for row in drives)
+    steps = sum(len(row.ticks.time_us) for row in drives)
     boxes = int(scene.agents.valid.sum())
     frames = len(scene.timestamps_us) + steps
     return pictures + _BYTES_OF_A_BOX * boxes + _BYTES_OF_A_PLAN * plans + _BYTES_OF_A_FRAME * frames
@@ -152,6 +153,7 @@ def _describe(
         "frozen_split": find_frozen_split(dataset.provenance()),
         "adversaries": " ".join(scene.adversaries),
         "manoeuvre": manoeuvre,
+        "images": contents.image_quality and f"encoded anew as JPEG of quality {contents.image_quality}",
         "content": dataset.fingerprint(),
         "generator": f"challenger-bench {VERSION}",
         "coordinate_frame": f"{MAP}: metres, x forward and y left of the map's south-west corner",
@@ -166,7 +168,7 @@ def encode_layout(scene: Scene, contents: McapContents) -> bytes:
     drives = [sanitise_file_name(drive.planner) for drive in contents.drives]
     shown = ["/annotations", "/ego", "/map", ADVERSARY_TOPIC]
     shown += [f"/plan/{name}{part}" for name in planners for part in ("", "/marks")]
-    shown += [f"/drive/{name}{part}" for name in drives for part in ("", "/body")]
+    shown += [f"/drive/{name}{part}" for name in drives for part in ("", "/body", "/plan")]
     panels: dict[str, Any] = {
         "3D!scene": {
             "followTf": "base_link",

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.constants import EGO_BODY_WIDTH_M, EGO_CENTER_FROM_REAR_AXLE_M, EGO_HEIGHT_M, EGO_LENGTH_M
+from benchmark.constants import EGO_HEIGHT_M, PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.extensions.mcap.timeline import MAP, Primitives, Timeline
 from benchmark.geometry import Floats, quaternion_from_yaw
@@ -13,13 +13,14 @@ from benchmark.machine.storage import sanitise_file_name
 from benchmark.records.drive_schema import EpisodeRow, ScoredContact
 from benchmark.records.row_schema import OutcomeRow, SampleRow
 from benchmark.report.palette import CONTACT, EGO
-from benchmark.report.placement import place_plan
+from benchmark.report.placement import PlacedPlan, place_lidar, place_plan, place_waypoints
 from benchmark.scene import Scene
 
 JUDGE: Final = "exact"
 _HORIZONS: Final = (2, 4, 6)
 """Steps of half a second until 1, 2 and 3 s."""
 _SHOWN_S: Final = 0.5
+_POSES: Final = {"step_s": "0.5", "poses": "lidar origin now, then at 0.5, 1.0, ... 3.0 s"}
 _THREES: Final = {"type": "array", "minItems": 3, "maxItems": 3}
 VERDICT: Final[dict[str, Any]] = {
     "title": "challenger.Verdict",
@@ -52,7 +53,7 @@ def add_plans(
     """Plans of one planner: poses, a line that shows contact, verdicts as numbers, and events."""
     name = sanitise_file_name(planner)
     topic, marks, verdict = f"/plan/{name}", f"/plan/{name}/marks", f"/verdict/{name}"
-    timeline.metadata[topic] = {"planner": planner, "step_s": "0.5", "poses": "now, then 0.5, 1.0, ... 3.0 s"}
+    timeline.metadata[topic] = {"planner": planner, **_POSES}
     timeline.schemas[verdict] = VERDICT
     for row in rows:
         frame = _find_frame(scene, row)
@@ -65,14 +66,12 @@ def add_plans(
             words = make.text(f"{planner}: failed", scene.ego.position[frame] + [0, 0, 3.0], make.colour(CONTACT))
             timeline.add(row.timestamp_us, marks, _briefly(make, row.timestamp_us, texts=[words]))
             continue
-        points = np.concatenate([_front_of(scene.ego.pose[frame], row.lidar_ahead_m)[None], placed.waypoints])
-        yaws = np.concatenate([placed.start[None, 4], placed.at_waypoints[:, 4]])
-        poses = [make.planar_pose(x, y, height, yaw) for (x, y), yaw in zip(points, yaws, strict=True)]
-        sent = make.messages.PosesInFrame(timestamp=make.time(row.timestamp_us), frame_id=MAP, poses=poses)
-        timeline.add(row.timestamp_us, topic, sent)
+        start = place_lidar(scene.ego.pose[frame], row.lidar_ahead_m)[:2]
+        timeline.add(row.timestamp_us, topic, _make_poses(make, row.timestamp_us, placed, start, height))
+        points = np.column_stack([np.vstack([start, placed.waypoints]), np.full(PLAN_STEPS + 1, height)])
         step = _find_first(outcome)
         colour = make.colour(EGO if step is None else CONTACT)
-        parts = {"lines": [make.line(np.column_stack([points, np.full(len(points), height)]), colour, 0.25)]}
+        parts = {"lines": [make.line(points, colour, 0.25)]}
         if step is not None:
             x, y, length, width, yaw = placed.at_waypoints[step]
             pose = make.planar_pose(x, y, height + EGO_HEIGHT_M / 2, yaw)
@@ -84,14 +83,15 @@ def add_plans(
 
 def _briefly(make: Primitives, time_us: int, **parts: Any) -> Any:
     lifetime = make.messages.Duration(0, int(_SHOWN_S * 1e9))
-    entity = make.messages.SceneEntity(
-        timestamp=make.time(time_us), frame_id=MAP, id="plan", lifetime=lifetime, frame_locked=True, **parts
-    )
-    return make.update([entity])
+    return make.update([make.entity(time_us, "plan", lifetime=lifetime, **parts)])
 
 
-def _front_of(axle: Floats, ahead_m: float) -> Floats:
-    return np.asarray(axle[:2] + ahead_m * np.array([np.cos(axle[2]), np.sin(axle[2])]))
+def _make_poses(make: Primitives, time_us: int, plan: PlacedPlan, start: Floats, height: float) -> Any:
+    """The lidar origin now, at (2,) ``start``, and at the waypoints, headed as ``exact`` turns the body there."""
+    points = np.vstack([start, plan.waypoints])
+    yaws = [plan.start[4], *plan.at_waypoints[:, 4]]
+    poses = [make.planar_pose(x, y, height, yaw) for (x, y), yaw in zip(points, yaws, strict=True)]
+    return make.messages.PosesInFrame(timestamp=make.time(time_us), frame_id=MAP, poses=poses)
 
 
 def _find_frame(scene: Scene, row: SampleRow) -> int:
@@ -146,7 +146,7 @@ def _add_events(timeline: Timeline, make: Primitives, planner: str, row: SampleR
 
 
 def add_drive(timeline: Timeline, make: Primitives, scene: Scene, planner: str, row: EpisodeRow, world: str) -> None:
-    """One drive: where the planner's ego was, its body and state, and what it touched."""
+    """One drive: where the planner's ego was, its body, state and plans, and what it touched."""
     name = "/".join([sanitise_file_name(planner), *filter(None, [row.family, str(row.run or "")])])
     topic, steps, frame = f"/drive/{name}", f"/drive/{name}/state", f"ego/{name}"
     timeline.schemas[steps] = STEP
@@ -164,10 +164,8 @@ def add_drive(timeline: Timeline, make: Primitives, scene: Scene, planner: str, 
         state_now = {"speed": speed, "acceleration": acceleration, "yaw_rate": yaw_rate, "wheel_angle": angle}
         timeline.add(time_us, steps, {"planner": planner, **state_now})
     first, last = row.ticks.time_us[0], row.ticks.time_us[-1]
-    centre = make.pose(np.array([EGO_CENTER_FROM_REAR_AXLE_M, 0.0, EGO_HEIGHT_M / 2]), np.array([1.0, 0.0, 0.0, 0.0]))
-    size = np.array([EGO_LENGTH_M, EGO_BODY_WIDTH_M, EGO_HEIGHT_M])
-    body = make.entity(first, "body", frame, cubes=[make.cube(centre, size, make.colour(EGO, 0.5))])
-    timeline.add(first, f"{topic}/body", make.update([body]))
+    timeline.add(first, f"{topic}/body", make.ego_body(first, frame, EGO, 0.5))
+    _add_driven_plans(timeline, make, scene, f"{topic}/plan", planner, row)
     begin = row.ticks.time_us[row.primed - 1] if len(row.ticks.time_us) >= row.primed else first
     for contact in (*row.passed, *([row.contact] if row.contact is not None else [])):
         at = begin + round(1e6 * contact.seconds)
@@ -175,6 +173,30 @@ def add_drive(timeline: Timeline, make: Primitives, scene: Scene, planner: str, 
         timeline.add(at, "/log", make.log(at, level, words, "drive"))
     if row.failure is not None:
         timeline.add(last, "/log", make.log(last, "Error", f"{planner} failed: {row.failure.reason}", "drive"))
+
+
+def _add_driven_plans(
+    timeline: Timeline, make: Primitives, scene: Scene, topic: str, planner: str, row: EpisodeRow
+) -> None:
+    """The plan of each planning instant of a drive; those that are shorter than 3 s are left out."""
+    timeline.metadata[topic] = {"planner": planner, **_POSES}
+    ahead_m = float(scene.lidar.translation[0])
+    heights = np.interp(row.ticks.time_us, scene.timestamps_us, scene.ego.position[:, 2])
+    # A failed drive has an instant without a plan.
+    instants = zip(row.ticks.time_us, row.ticks.ego, heights, row.plans, strict=False)
+    for index, (time_us, state, height, plan) in enumerate(instants):
+        axle = np.array(state[:3])
+        try:
+            waypoints = np.array(plan.waypoints, np.float64).reshape(len(plan.waypoints), 2)
+        except ValueError as error:
+            raise InputError(
+                f"plan {index} of {planner}'s drive of {row.scene} is no list of x and y ({error}); run "
+                "challenger-bench drive again"
+            ) from error
+        placed = place_waypoints(waypoints, plan.frame, ahead_m, axle)
+        if placed is not None:
+            start = place_lidar(axle, ahead_m)[:2]
+            timeline.add(time_us, topic, _make_poses(make, time_us, placed, start, height))
 
 
 def _describe_contact(planner: str, contact: ScoredContact) -> tuple[str, str]:

@@ -1,48 +1,49 @@
 """A scene on a timeline: frames, boxes with the adversary marked, cameras with their images, the map."""
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
-from benchmark.constants import EGO_BODY_WIDTH_M, EGO_CENTER_FROM_REAR_AXLE_M, EGO_HEIGHT_M, EGO_LENGTH_M
-from benchmark.errors import InputError
+from benchmark.extensions.mcap.camera_images import CameraImages, add_images
 from benchmark.extensions.mcap.timeline import EGO_FRAME, MAP, Primitives, Timeline
 from benchmark.geometry import Bools, Floats, quaternion_from_yaw
-from benchmark.planning import CameraView
 from benchmark.report.palette import ADVERSARY, EGO, FAINT_INK, RULE
+from benchmark.runs.encounters import find_recorded_agent
 from benchmark.scene import Scene
-from benchmark.untrusted.files import PICTURE, read_file
 
 ADVERSARY_TOPIC: Final = "/adversary/track"
 _OTHER_BOXES: Final = (120, 140, 175)
 _MAP_MARGIN_M: Final = 60.0
-_FORMATS: Final = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png", ".webp": "webp"}
-Images = Mapping[str, Sequence[CameraView]]
 
 
-def add_scene(timeline: Timeline, make: Primitives, scene: Scene, images: Images, facts: "SceneLabels") -> None:
+@dataclass(frozen=True, slots=True)
+class AdversaryFacts:
+    """What is known of a scene's adversaries.
+
+    Attributes:
+        launches: Frames at which they take over, by instance.
+        manoeuvre: Of the first of them, in words.
+        recorded: The scene that they were made from, where it is at hand.
+    """
+
+    launches: Mapping[str, int]
+    manoeuvre: str | None = None
+    recorded: Scene | None = None
+
+
+def add_scene(
+    timeline: Timeline, make: Primitives, scene: Scene, images: CameraImages, facts: AdversaryFacts
+) -> None:
     """Everything of a scene that no planner has said."""
-    start = find_start(scene, images)
+    # Frames must be known before the first image, which may be earlier than the first frame.
+    start = min((int(scene.timestamps_us[0]), *images.first_us))
     _add_frames(timeline, make, scene, start)
     _add_boxes(timeline, make, scene)
     _add_map(timeline, make, scene, start)
     _add_adversaries(timeline, make, scene, start, facts)
-    _add_images(timeline, make, images)
-
-
-class SceneLabels:
-    """Launch frames of adversaries by instance, and what the first of them does, in words."""
-
-    def __init__(self, launches: Mapping[str, int], manoeuvre: str | None) -> None:
-        self.launches, self.manoeuvre = launches, manoeuvre
-
-
-def find_start(scene: Scene, images: Images) -> int:
-    """Microseconds of the first message: frames must be known before the first image."""
-    first = [int(scene.timestamps_us[0]), *(int(view.timestamp_us) for views in images.values() for view in views[:1])]
-    return min(first)
+    add_images(timeline, make, images)
 
 
 def _add_frames(timeline: Timeline, make: Primitives, scene: Scene, start: int) -> None:
@@ -56,12 +57,8 @@ def _add_frames(timeline: Timeline, make: Primitives, scene: Scene, start: int) 
             cameras.append(make.transform(start, MAP, EGO_FRAME, scene.ego.position[0], scene.ego.rotation[0]))
         if cameras:
             timeline.add(time_us, "/tf", make.messages.FrameTransforms(transforms=cameras))
-    centre = np.array([EGO_CENTER_FROM_REAR_AXLE_M, 0.0, EGO_HEIGHT_M / 2])
-    size = np.array([EGO_LENGTH_M, EGO_BODY_WIDTH_M, EGO_HEIGHT_M])
-    pose = make.pose(centre, np.array([1.0, 0.0, 0.0, 0.0]))
     first = int(scene.timestamps_us[0])
-    body = make.entity(first, "ego", EGO_FRAME, cubes=[make.cube(pose, size, make.colour(EGO, 0.8))])
-    timeline.add(first, "/ego", make.update([body]))
+    timeline.add(first, "/ego", make.ego_body(first, EGO_FRAME, EGO, 0.8))
 
 
 def _add_boxes(timeline: Timeline, make: Primitives, scene: Scene) -> None:
@@ -135,9 +132,9 @@ def _add_map(timeline: Timeline, make: Primitives, scene: Scene, start: int) -> 
         timeline.add(start, "/map", make.update([make.entity(start, "map", lines=lines)]))
 
 
-def _add_adversaries(timeline: Timeline, make: Primitives, scene: Scene, start: int, facts: SceneLabels) -> None:
-    """The whole track of each adversary, at the beginning and when it takes over."""
-    colour = make.colour(ADVERSARY)
+def _add_adversaries(timeline: Timeline, make: Primitives, scene: Scene, start: int, facts: AdversaryFacts) -> None:
+    """The whole track of each adversary and, thinner, the recorded one, at the beginning and when it takes over."""
+    colour, faint = make.colour(ADVERSARY), make.colour(_OTHER_BOXES)
     for name in scene.adversaries:
         if name not in scene.agents.ids:
             continue
@@ -148,55 +145,27 @@ def _add_adversaries(timeline: Timeline, make: Primitives, scene: Scene, start: 
         if not len(track):
             continue
         words = f"adversary: {facts.manoeuvre or 'vehicle'}"
+        recorded, note = _find_recorded_track(scene, name, facts)
+        parts: dict[str, Any] = {
+            "lines": [make.line(track, colour, 0.3)],
+            "texts": [make.text(words, track[0], colour)],
+            "facts": {"recorded track": note},
+        }
+        if recorded is not None:
+            parts["lines"].append(make.line(recorded, faint, 0.1))
+            parts["texts"].append(make.text("as recorded", recorded[-1], faint))
         for time_us in times:
-            parts: dict[str, Any] = {
-                "lines": [make.line(track, colour, 0.3)],
-                "texts": [make.text(words, track[0], colour)],
-            }
             timeline.add(time_us, ADVERSARY_TOPIC, make.update([make.entity(time_us, f"track {name}", **parts)]))
         if launch is not None:
             timeline.add(times[-1], "/log", make.log(times[-1], "Info", f"{words} takes over ({name})", "scene"))
 
 
-def _add_images(timeline: Timeline, make: Primitives, images: Images) -> None:
-    for name, views in images.items():
-        frame, topic = name.lower(), f"/{name.lower()}"
-        for view in views:
-            time_us, camera = int(view.timestamp_us), view.camera
-            intrinsic = np.asarray(camera.intrinsic, np.float64)
-            calibration = make.messages.CameraCalibration(
-                timestamp=make.time(time_us),
-                frame_id=frame,
-                width=camera.width,
-                height=camera.height,
-                K=intrinsic.ravel().tolist(),
-                R=np.eye(3).ravel().tolist(),
-                P=np.column_stack([intrinsic, np.zeros(3)]).ravel().tolist(),
-            )
-            timeline.add(time_us, f"{topic}/camera_info", calibration)
-
-            def load(path: Path = view.path, time_us: int = time_us, frame: str = frame) -> Any:
-                data = read_file(path, PICTURE)
-                kind = _FORMATS[path.suffix.lower()]
-                return make.messages.CompressedImage(
-                    timestamp=make.time(time_us), frame_id=frame, data=data, format=kind
-                )
-
-            timeline.add_later(time_us, f"{topic}/image_rect_compressed", load)
-
-
-def require_images(scene: str, images: Images) -> Images:
-    """The images, none where none of their files is there; `InputError` if some are, or a viewer knows no such file."""
-    paths = [view.path for views in images.values() for view in views]
-    missing = [path for path in paths if not path.is_file()]
-    if missing and len(missing) == len(paths):
-        return {}
-    if missing:
-        raise InputError(
-            f"image {missing[0]} of scene {scene} is missing; complete the data set, or leave images out with --images "
-            "none"
-        )
-    for path in paths:
-        if path.suffix.lower() not in _FORMATS:
-            raise InputError(f"image {path} is none that viewers show ({', '.join(_FORMATS)}); use --images none")
-    return images
+def _find_recorded_track(scene: Scene, name: str, facts: AdversaryFacts) -> tuple[Floats | None, str]:
+    """(N, 3) where the adversary went in the recording, and a note that says whether that is known."""
+    if facts.recorded is None:
+        return None, "not shown: the recording is not at hand"
+    launch, there = facts.launches.get(name), facts.recorded.agents
+    agent = find_recorded_agent(scene, name, facts.recorded, np.inf if launch is None else scene.seconds[launch])
+    if agent is None:
+        return None, "none: it is not in the recording"
+    return there.position[agent][there.valid[agent]], "the thin line"

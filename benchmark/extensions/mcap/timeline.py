@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from benchmark.constants import EGO_BODY_WIDTH_M, EGO_CENTER_FROM_REAR_AXLE_M, EGO_HEIGHT_M, EGO_LENGTH_M
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, quaternion_from_yaw
 
@@ -119,6 +120,14 @@ class Primitives:
         """Length, width, height."""
         return self.messages.CubePrimitive(pose=pose, size=self.vector(size), color=colour)
 
+    def ego_body(self, time_us: int, frame: str, rgb: Sequence[int], alpha: float) -> Any:
+        """A scene update with the ego's body, in a frame at its rear axle."""
+        centre = self.planar_pose(EGO_CENTER_FROM_REAR_AXLE_M, 0.0, EGO_HEIGHT_M / 2, 0.0)
+        size = np.array([EGO_LENGTH_M, EGO_BODY_WIDTH_M, EGO_HEIGHT_M])
+        return self.update(
+            [self.entity(time_us, "ego", frame, cubes=[self.cube(centre, size, self.colour(rgb, alpha))])]
+        )
+
     def line(self, points: Floats, colour: Any, thickness: float, *, closed: bool = False) -> Any:
         """Through (N, 3) points, metres."""
         kinds = self.messages.LinePrimitiveLineType
@@ -140,7 +149,7 @@ class Primitives:
     def entity(
         self, time_us: int, identifier: str, frame: str = MAP, *, facts: Mapping[str, str] | None = None, **parts: Any
     ) -> Any:
-        """An object of a scene update that stays until it is deleted or replaced."""
+        """An object of a scene update that stays until it is deleted or replaced, or for its ``lifetime``."""
         pairs = [self.messages.KeyValuePair(key=name, value=value) for name, value in (facts or {}).items()]
         return self.messages.SceneEntity(
             timestamp=self.time(time_us), frame_id=frame, id=identifier, frame_locked=True, metadata=pairs, **parts
