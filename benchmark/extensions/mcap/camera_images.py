@@ -24,7 +24,7 @@ class CameraImages:
 
     Attributes:
         views: By camera, in time order.
-        quality: 1 to 100, of JPEG files that are made of them; ``None`` for the files as they are.
+        quality: 1 to 100, of WebP pictures that are made of them; ``None`` for the files as they are.
     """
 
     views: Mapping[str, Sequence[CameraView]]
@@ -40,7 +40,7 @@ class CameraImages:
         if self.quality is None:
             return read_file(view.path, PICTURE), _FORMATS[view.path.suffix.lower()]
         picture = cv2.cvtColor(view.load(), cv2.COLOR_RGB2BGR)
-        return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, self.quality])[1].tobytes(), "jpeg"
+        return cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, self.quality])[1].tobytes(), "webp"
 
     def count_bytes(self) -> int:
         """Bytes of all images; where they are encoded anew about, from the first of each camera."""

@@ -39,7 +39,7 @@ class McapOptions:
     )
     image_quality: Annotated[
         int | None,
-        Option("Encode images anew as JPEG of this quality; else files as they are.", "Output", min=1, max=100),
+        Option("Encode images anew as WebP of this quality; else the files as they are.", "Output", min=1, max=100),
     ] = None
     out: shared.Out = api.OUT
     tables: shared.Tables = None

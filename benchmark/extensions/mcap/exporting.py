@@ -153,7 +153,7 @@ def _describe(
         "frozen_split": find_frozen_split(dataset.provenance()),
         "adversaries": " ".join(scene.adversaries),
         "manoeuvre": manoeuvre,
-        "images": contents.image_quality and f"encoded anew as JPEG of quality {contents.image_quality}",
+        "images": contents.image_quality and f"encoded anew as WebP of quality {contents.image_quality}",
         "content": dataset.fingerprint(),
         "generator": f"challenger-bench {VERSION}",
         "coordinate_frame": f"{MAP}: metres, x forward and y left of the map's south-west corner",

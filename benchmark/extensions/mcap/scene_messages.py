@@ -33,9 +33,7 @@ class AdversaryFacts:
     recorded: Scene | None = None
 
 
-def add_scene(
-    timeline: Timeline, make: Primitives, scene: Scene, images: CameraImages, facts: AdversaryFacts
-) -> None:
+def add_scene(timeline: Timeline, make: Primitives, scene: Scene, images: CameraImages, facts: AdversaryFacts) -> None:
     """Everything of a scene that no planner has said."""
     # Frames must be known before the first image, which may be earlier than the first frame.
     start = min((int(scene.timestamps_us[0]), *images.first_us))

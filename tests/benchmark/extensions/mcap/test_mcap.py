@@ -12,22 +12,24 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmark.datasets.scene_facts import build_scene_facts
 from benchmark.errors import InputError
 from benchmark.extensions.mcap.exporting import McapContents, encode_mcap, estimate_bytes, export_mcap
 from benchmark.extensions.mcap.scene_messages import compute_speeds
-from benchmark.geometry import Floats, transform_matrix, yaw_of_quaternion
+from benchmark.geometry import Floats, to_global, transform_matrix, yaw_of_quaternion
 from benchmark.planning import CameraView
 from benchmark.records.drives import DriveRecord, load_drives
 from benchmark.records.row_schema import PlanCollision, PlanSeverityRow, SampleRow
 from benchmark.records.run import RunRecord
-from benchmark.scene import Scene
+from benchmark.records.run_schema import SceneFacts
+from benchmark.scene import Agents, Scene
 from tests.benchmark.cli.in_process import run_here
 from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.records.hand_made_records import CLEAN, hand_made
 from tests.benchmark.records.test_run import row
 
 DRIVES = Path(__file__).resolve().parents[3] / "promise" / "kept" / "formats" / "drives-1"
-NAME = "scene-9902"
+NAME, RECORDED = "scene-9902", "scene-0007"
 FAILS = 3
 """Sample on which the planner fails."""
 
@@ -54,7 +56,11 @@ class Town(FakeData):
 
     def provenance(self) -> dict[str, Any]:
         report = {"launch_frame": 30, "labels": {"manoeuvre": "cut-in-left"}}
-        return {"scenes": {NAME: {"adversaries": ["x"], "report": report}}, "frozen": {"name": "road-adv-1"}}
+        made = {"adversaries": ["x"], "report": report, "source_scene": RECORDED}
+        return {"scenes": {NAME: made}, "frozen": {"name": "road-adv-1"}}
+
+    def scene_facts(self, names: Sequence[str]) -> dict[str, SceneFacts]:
+        return {name: build_scene_facts(name, self.provenance()["scenes"][name]) for name in names}
 
 
 def changed_scene() -> Scene:
@@ -129,6 +135,16 @@ def decoded(data: bytes) -> dict[str, list[tuple[int, Any]]]:
     return found
 
 
+def picked(agents: Agents, rows: list[int]) -> Agents:
+    categories = tuple(agents.categories[row] for row in rows)
+    arrays = {name: getattr(agents, name)[rows] for name in ("position", "yaw", "size", "valid")}
+    return Agents(ids=tuple(f"recorded-{row}" for row in rows), categories=categories, **arrays)
+
+
+def points_of(line: Any) -> Floats:
+    return np.array([[point.x, point.y, point.z] for point in line.points])
+
+
 def as_matrix(transform: Any) -> Floats:
     where, turned = transform.translation, transform.rotation
     return transform_matrix(np.array([turned.w, turned.x, turned.y, turned.z]), np.array([where.x, where.y, where.z]))
@@ -190,10 +206,55 @@ def test_the_adversary_is_marked_and_takes_over(town: Town) -> None:
     said = decoded(encode_mcap(town, NAME, McapContents(images="none"))[0])
     tracks = said["/adversary/track"]
     assert [time for time, _ in tracks] == [1000 * int(scene.timestamps_us[frame]) for frame in (0, 30)]
-    line = tracks[0][1].entities[0].lines[0]
-    assert np.allclose([[point.x, point.y] for point in line.points], scene.agents.position[0, :, :2], atol=1e-6)
+    (line,) = tracks[0][1].entities[0].lines
+    assert np.allclose(points_of(line), scene.agents.position[0], atol=1e-6)
     ((time, event),) = said["/log"]
-    assert "takes over" in event.message and time == tracks[1][0]
+    assert "adversary: cut-in-left takes over" in event.message and time == tracks[1][0]
+
+
+@pytest.mark.path
+def test_where_the_adversary_went_in_the_recording_is_a_second_line_or_a_note(town: Town) -> None:
+    scene, recorded = town.scenes[NAME], town_of_two().scenes[NAME]
+    # Objects of recordings have identifiers and an order of their own.
+    with_it = FakeData({RECORDED: replace(recorded, agents=picked(recorded.agents, [1, 0]))}, Path("recordings"))
+    without = FakeData({RECORDED: replace(recorded, agents=picked(recorded.agents, [1]))}, Path("recordings"))
+    for recordings, lines, note in (
+        (with_it, 2, "the thin line"),
+        (without, 1, "none: it is not in the recording"),
+        (town, 1, "not shown: the recording is not at hand"),
+        (None, 1, "not shown: the recording is not at hand"),
+    ):
+        contents = McapContents(images="none", recordings=recordings)
+        for _, update in decoded(encode_mcap(town, NAME, contents)[0])["/adversary/track"]:
+            (entity,) = update.entities
+            assert len(entity.lines) == lines and {pair.key: pair.value for pair in entity.metadata} == {
+                "recorded track": note
+            }
+            if lines == 2:
+                assert np.allclose(points_of(entity.lines[1]), recorded.agents.position[0], atol=1e-6)
+                assert entity.lines[1].thickness < entity.lines[0].thickness
+                assert not np.allclose(points_of(entity.lines[1])[40], points_of(entity.lines[0])[40], atol=1.0)
+    assert scene.adversaries == scene.agents.ids[:1]
+
+
+def test_images_are_encoded_anew_only_when_asked(town: Town, tmp_path: Path) -> None:
+    drawn = np.random.default_rng(0).integers(0, 256, (64, 96, 3), np.uint8)
+    for camera, views in town.pictures.items():
+        cv2.imwrite(str(views[0].path), drawn)
+        town.pictures = {**town.pictures, camera: [replace(each, load=lambda: drawn) for each in views]}
+    topic = f"/{next(iter(town.pictures)).lower()}/image_rect_compressed"
+    sizes = []
+    for quality in (90, 40):
+        contents = McapContents(image_quality=quality)
+        data, _ = encode_mcap(town, NAME, contents)
+        _, message = decoded(data)[topic][0]
+        again = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_COLOR)
+        assert again.shape == drawn.shape and message.format == "webp"
+        assert 0.5 < estimate_bytes(town, NAME, contents) / len(data) < 2.0
+        (record,) = reader.make_reader(io.BytesIO(data)).iter_metadata()
+        assert record.metadata["images"] == f"encoded anew as WebP of quality {quality}"
+        sizes.append(len(message.data))
+    assert sizes[1] < sizes[0]
 
 
 @pytest.mark.path
@@ -226,15 +287,32 @@ def test_plans_verdicts_and_drives_stand_where_they_were(town: Town) -> None:
     assert [time for time, _ in said["/drive/straight"]] == [1000 * time for time in ticks.time_us]
     assert said["/drive/straight/state"][0][1]["speed"] == ticks.ego[0][3]
     assert np.isclose(said["/drive/straight"][-1][1].pose.position.x, ticks.ego[-1][0])
+    driven_plans, (planned,) = said["/drive/straight/plan"], drive.rows
+    assert [time for time, _ in driven_plans] == [1000 * time for time in ticks.time_us[: len(planned.plans)]]
+    for (_, message), state, plan in zip(driven_plans, ticks.ego, planned.plans, strict=False):
+        assert plan.frame == "ego"
+        points = to_global(np.array([[0.0, 0.0], *plan.waypoints]) + [0.94, 0.0], np.array(state[:3]))
+        assert np.allclose([[pose.position.x, pose.position.y] for pose in message.poses], points, atol=1e-6)
     children = {each.child_frame_id for _, message in said["/tf"] for each in message.transforms}
     assert "ego/straight" in children
 
 
-def test_schemas_are_those_that_foxglove_ships(town: Town) -> None:
-    pytest.importorskip("foxglove_schemas_protobuf")
-    from importlib import import_module
+def test_a_drive_with_broken_or_short_plans_is_refused_or_has_fewer(town: Town) -> None:
+    drive = driven(town.scenes[NAME])
+    (one,) = drive.rows
+    for waypoints, left in (([[1.0, 0.0]] * 5, len(one.plans) - 1), ([], len(one.plans) - 1), ([[1.0]] * 6, None)):
+        plans = [one.plans[0].model_copy(update={"waypoints": waypoints}), *one.plans[1:]]
+        broken = replace(drive, rows=(one.model_copy(update={"plans": plans}),))
+        contents = McapContents(drives=(broken,), images="none")
+        if left is None:
+            with pytest.raises(InputError, match=r"plan 0 of straight's drive of scene-9902 is no list of x and y"):
+                encode_mcap(town, NAME, contents)
+        else:
+            assert len(decoded(encode_mcap(town, NAME, contents)[0])["/drive/straight/plan"]) == left
 
-    from google.protobuf.descriptor_pb2 import FileDescriptorSet
+
+def test_schemas_are_those_that_foxglove_ships(town: Town) -> None:
+    from foxglove import messages
 
     drive = driven(town.scenes[NAME])
     contents = McapContents((plans(town.scenes[NAME]),), (drive,))
@@ -245,14 +323,24 @@ def test_schemas_are_those_that_foxglove_ships(town: Town) -> None:
             assert schema.name.startswith("challenger.")
             continue
         kind = schema.name.removeprefix("foxglove.")
-        official = getattr(import_module(f"foxglove_schemas_protobuf.{kind}_pb2"), kind).DESCRIPTOR
-        files = FileDescriptorSet.FromString(schema.data).file
-        (ours,) = [each for file in files for each in file.message_type if f"{file.package}.{each.name}" == schema.name]
-        assert {(field.name, field.number, field.type) for field in ours.field} == {
-            (field.name, field.number, field.type) for field in official.fields
-        }
+        assert schema.data == getattr(messages, kind).get_schema().data
+        _compare_with_shipped(schema.data)
         seen += 1
     assert seen >= 7
+
+
+def _compare_with_shipped(data: bytes) -> None:
+    """Every file of a schema, byte for byte as it is compiled into the package of Foxglove's own schemas."""
+    pytest.importorskip("foxglove_schemas_protobuf")
+    from importlib import import_module
+
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet
+
+    for file in FileDescriptorSet.FromString(data).file:
+        module = (
+            file.name.replace("foxglove/", "foxglove_schemas_protobuf.").replace("/", ".").replace(".proto", "_pb2")
+        )
+        assert file.SerializeToString() == import_module(module).DESCRIPTOR.serialized_pb
 
 
 def test_files_say_what_they_are_are_written_again_and_carry_a_layout(town: Town, tmp_path: Path) -> None:
