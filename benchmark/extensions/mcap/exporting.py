@@ -142,6 +142,7 @@ def _describe(
     dataset: DataSet, scene: Scene, contents: McapContents, source: str, manoeuvre: str | None
 ) -> dict[str, str]:
     """The metadata record of a file; nothing of the machine."""
+    quality = contents.image_quality
     stated = {
         "name": scene.name,
         "description": scene.description,
@@ -153,7 +154,7 @@ def _describe(
         "frozen_split": find_frozen_split(dataset.provenance()),
         "adversaries": " ".join(scene.adversaries),
         "manoeuvre": manoeuvre,
-        "images": contents.image_quality and f"encoded anew as WebP of quality {contents.image_quality}",
+        "images": None if quality is None else f"encoded anew as WebP of quality {quality}",
         "content": dataset.fingerprint(),
         "generator": f"challenger-bench {VERSION}",
         "coordinate_frame": f"{MAP}: metres, x forward and y left of the map's south-west corner",
