@@ -14,6 +14,7 @@ import pytest
 
 from benchmark.datasets.scene_facts import build_scene_facts
 from benchmark.errors import InputError
+from benchmark.extensions.mcap.camera_images import find_images
 from benchmark.extensions.mcap.exporting import McapContents, encode_mcap, estimate_bytes, export_mcap
 from benchmark.extensions.mcap.scene_messages import compute_speeds
 from benchmark.geometry import Floats, to_global, transform_matrix, yaw_of_quaternion
@@ -250,7 +251,7 @@ def test_images_are_encoded_anew_only_when_asked(town: Town, tmp_path: Path) -> 
         _, message = decoded(data)[topic][0]
         again = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_COLOR)
         assert again.shape == drawn.shape and message.format == "webp"
-        assert 0.5 < estimate_bytes(town, NAME, contents) / len(data) < 2.0
+        assert find_images(town, NAME, "keyframes", quality).count_bytes() == 8 * len(message.data)
         (record,) = reader.make_reader(io.BytesIO(data)).iter_metadata()
         assert record.metadata["images"] == f"encoded anew as WebP of quality {quality}"
         sizes.append(len(message.data))
@@ -287,11 +288,12 @@ def test_plans_verdicts_and_drives_stand_where_they_were(town: Town) -> None:
     assert [time for time, _ in said["/drive/straight"]] == [1000 * time for time in ticks.time_us]
     assert said["/drive/straight/state"][0][1]["speed"] == ticks.ego[0][3]
     assert np.isclose(said["/drive/straight"][-1][1].pose.position.x, ticks.ego[-1][0])
+    ahead_m = scene.lidar.translation[0]
     driven_plans, (planned,) = said["/drive/straight/plan"], drive.rows
     assert [time for time, _ in driven_plans] == [1000 * time for time in ticks.time_us[: len(planned.plans)]]
     for (_, message), state, plan in zip(driven_plans, ticks.ego, planned.plans, strict=False):
         assert plan.frame == "ego"
-        points = to_global(np.array([[0.0, 0.0], *plan.waypoints]) + [0.94, 0.0], np.array(state[:3]))
+        points = to_global(np.array([[0.0, 0.0], *plan.waypoints]) + [ahead_m, 0.0], np.array(state[:3]))
         assert np.allclose([[pose.position.x, pose.position.y] for pose in message.poses], points, atol=1e-6)
     children = {each.child_frame_id for _, message in said["/tf"] for each in message.transforms}
     assert "ego/straight" in children
@@ -330,17 +332,22 @@ def test_schemas_are_those_that_foxglove_ships(town: Town) -> None:
 
 
 def _compare_with_shipped(data: bytes) -> None:
-    """Every file of a schema, byte for byte as it is compiled into the package of Foxglove's own schemas."""
+    """Every file of a schema, byte for byte as Foxglove's package of schemas has it, but for names of fields in JSON.
+
+    The compiler writes those into the schemas of one package only: they are the names themselves in camel case.
+    """
     pytest.importorskip("foxglove_schemas_protobuf")
     from importlib import import_module
 
-    from google.protobuf.descriptor_pb2 import FileDescriptorSet
+    from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
 
     for file in FileDescriptorSet.FromString(data).file:
-        module = (
-            file.name.replace("foxglove/", "foxglove_schemas_protobuf.").replace("/", ".").replace(".proto", "_pb2")
-        )
-        assert file.SerializeToString() == import_module(module).DESCRIPTOR.serialized_pb
+        module = file.name.removesuffix(".proto").replace("foxglove/", "foxglove_schemas_protobuf/").replace("/", ".")
+        shipped = FileDescriptorProto.FromString(import_module(f"{module}_pb2").DESCRIPTOR.serialized_pb)
+        for message in (*file.message_type, *shipped.message_type):
+            for field in message.field:
+                field.ClearField("json_name")
+        assert file.SerializeToString() == shipped.SerializeToString()
 
 
 def test_files_say_what_they_are_are_written_again_and_carry_a_layout(town: Town, tmp_path: Path) -> None:
