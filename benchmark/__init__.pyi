@@ -75,6 +75,8 @@ from benchmark.extensions.explain.pictures import explain as explain_protocols
 from benchmark.extensions.http.cli import serve_planner as serve_planner
 from benchmark.extensions.infos.exporting import InfoSettings as InfoSettings
 from benchmark.extensions.infos.exporting import export_infos as export_infos
+from benchmark.extensions.mcap.exporting import McapContents as McapContents
+from benchmark.extensions.mcap.exporting import export_mcap as export_mcap
 from benchmark.extensions.quality.definition import QualityDefinition as QualityDefinition
 from benchmark.extensions.quality.measure import QualitySettings as QualitySettings
 from benchmark.extensions.quality.measure import measure_quality as measure_quality

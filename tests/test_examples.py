@@ -67,8 +67,9 @@ def test_judge_a_result_file(folder: Path, monkeypatch: pytest.MonkeyPatch) -> N
 def test_drive_it(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     left = run("drive_it", folder, monkeypatch)
     assert [len(record.rows) for record in left["records"]] == [3, 3]
-    assert left["reacting"].facts.measured.agents == "idm" and left["reacting"].complete
-    assert "contact (front)" in capsys.readouterr().out
+    assert {record.facts.measured.window for record in left["records"]} == {"encounter"}
+    assert left["replayed"].facts.measured.agents == "replay" and left["replayed"].complete
+    assert " in scene-8" in capsys.readouterr().out
     assert (folder / "challenger-out" / "drive-it.png").stat().st_size > 5_000
 
 

@@ -111,8 +111,9 @@ def find_shift_us(made: Mapping[str, Any] | None, name: str) -> int:
 
 
 def find_table_name_below(root: Path, name: str) -> str:
-    """`find_table_name` of a root that is not opened."""
-    rows = (find_table_name(root / version, name) for version in find_version_folders(root))
+    """`find_table_name` of a root that is not opened, if it is there."""
+    versions = find_version_folders(root) if root.is_dir() else ()
+    rows = (find_table_name(root / version, name) for version in versions)
     return next((row for row in rows if row != name), name)
 
 

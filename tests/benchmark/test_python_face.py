@@ -33,6 +33,7 @@ FUNCTION_OF = {
     "verify": "verify", "demo": "demo", "doctor": "doctor", "data info": "data_contents",
     "data export infos": "export_infos", "data export scenarionet": "export_scenarionet",
     "data export openscenario": "export_openscenario", "data export nuscenes": "export_nuscenes",
+    "data export mcap": "export_mcap",
     "data pack": "pack_split", "data unpack": "read_split_package",
     "data stats": "data_statistics", "data show": "write_pictures", "data card": "write_data_card",
     "data check": "check_data", "data review": "record_verdicts", "data import": "import_scenarionet",

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
@@ -67,6 +67,7 @@ def rays_that_meet(scene: Scene, view: CameraView, size: tuple[int, int]) -> Boo
 
 
 @settings(max_examples=25, deadline=None)
+@example(-0.46875, 12.0, 0.0, 2, 4.96875, 2.5)
 @given(
     st.floats(-12, 30), st.floats(-12, 12), st.floats(-3.1, 3.1), st.integers(0, 5), st.floats(1, 6), st.floats(0.5, 3)
 )
@@ -85,7 +86,9 @@ def test_a_projected_box_is_what_rays_meet(
         for across in (-1, 0, 1):
             grown |= np.roll(met, (down, across), axis=(0, 1))
     assert not (met & ~drawn).sum() > 0.02 * met.sum() + 1
-    assert not (drawn & ~grown).sum() > 0.05 * drawn.sum() + 2
+    # At the border of the image what is met may lie just beyond it.
+    too_much = (drawn & ~grown)[1:-1, 1:-1]
+    assert not too_much.sum() > 0.05 * drawn.sum() + 2
     for box in boxes:
         bounds = box.bounds
         assert 0 <= bounds[0] <= bounds[2] <= wide and 0 <= bounds[1] <= bounds[3] <= high
