@@ -190,7 +190,7 @@ def _add_driven_plans(
             waypoints = np.array(plan.waypoints, np.float64).reshape(len(plan.waypoints), 2)
         except ValueError as error:
             raise InputError(
-                f"plan {index} of {planner}'s drive of {row.scene} is no list of x and y ({error}); run "
+                f"plan {index} of a drive of {row.scene} by {planner!r} is no list of x and y ({error}); run "
                 "challenger-bench drive again"
             ) from error
         placed = place_waypoints(waypoints, plan.frame, ahead_m, axle)

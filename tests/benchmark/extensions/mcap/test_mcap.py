@@ -303,7 +303,7 @@ def test_a_drive_with_broken_or_short_plans_is_refused_or_has_fewer(town: Town) 
         broken = replace(drive, rows=(one.model_copy(update={"plans": plans}),))
         contents = McapContents(drives=(broken,), images="none")
         if left is None:
-            with pytest.raises(InputError, match=r"plan 0 of straight's drive of scene-9902 is no list of x and y"):
+            with pytest.raises(InputError, match=r"plan 0 of a drive of scene-9902 by 'straight' is no list"):
                 encode_mcap(town, NAME, contents)
         else:
             assert len(decoded(encode_mcap(town, NAME, contents)[0])["/drive/straight/plan"]) == left
