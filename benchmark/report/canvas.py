@@ -69,7 +69,8 @@ def truncate_to_width(text: str, width_px: int, *, size_px: int = 14, bold: bool
 
 def wrap_to_width(text: str, width_px: int, lines: int, *, size_px: int = 14) -> list[str]:
     """Text on so many lines at most, each no wider than asked; the last one is cut as `truncate_to_width` does."""
-    words, wrapped = text.split(), []
+    words = text.split()
+    wrapped: list[str] = []
     while len(wrapped) < lines - 1 and text_width(" ".join(words), size_px=size_px) > width_px:
         fits = (
             count

@@ -222,6 +222,7 @@ def test_a_drive_in_a_window_is_repeated_and_scored_anew(tmp_path: Path) -> None
         assert redrive_and_score(DefaultBackend("idm"), source.scene(row.scene), source, row) == row
         before = bytes_below(record.directory)
         assert rescore_drives(record.directory, source) == record and bytes_below(record.directory) == before
+    assert row.window is not None
     spoilt = replace(row.window, end=99)
     with pytest.raises(InputError, match=r"the window of .* does not fit"):
         redrive_and_score(
