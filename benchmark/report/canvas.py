@@ -67,11 +67,27 @@ def truncate_to_width(text: str, width_px: int, *, size_px: int = 14, bold: bool
     return ""
 
 
-def sanitise_name(name: str) -> str:
+def wrap_to_width(text: str, width_px: int, lines: int, *, size_px: int = 14) -> list[str]:
+    """Text on so many lines at most, each no wider than asked; the last one is cut as `truncate_to_width` does."""
+    words = text.split()
+    wrapped: list[str] = []
+    while len(wrapped) < lines - 1 and text_width(" ".join(words), size_px=size_px) > width_px:
+        fits = (
+            count
+            for count in range(len(words), 1, -1)
+            if text_width(" ".join(words[:count]), size_px=size_px) <= width_px
+        )
+        count = next(fits, 1)
+        wrapped.append(" ".join(words[:count]))
+        words = words[count:]
+    return [truncate_to_width(line, width_px, size_px=size_px) for line in (*wrapped, " ".join(words)) if line]
+
+
+def sanitise_name(name: str, characters: int = NAME_CHARACTERS) -> str:
     """A stranger's name on one line, cut, without characters that cannot be drawn or written into an SVG."""
     text = "".join(character if character.isprintable() else " " for character in name)
     text = " ".join(text.split())
-    return text if len(text) <= NAME_CHARACTERS else f"{text[: NAME_CHARACTERS - 1]}…"
+    return text if len(text) <= characters else f"{text[: characters - 1]}…"
 
 
 def _fill(image: Picture, x1: int, y1: int, x2: int, y2: int, colour: Rgb) -> None:

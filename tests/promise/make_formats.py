@@ -18,7 +18,8 @@ from tests.benchmark.fake_data import FakeData
 from tests.benchmark.planners import Failing, Straight
 from tests.hand_made import Car, scene_on_straight_road
 
-MACHINE = {"hardware": {"cpu": "accelerator"}, "packages": {"numpy": "1.26.4"}, "source": {"commit": None}}
+WINDOWS = "window-adversarial", "window-unchanged"
+MACHINE = {"hardware": {"cpu": "a processor"}, "packages": {"numpy": "1.26.4"}, "source": {"commit": None}}
 
 
 def short_road() -> FakeData:
@@ -38,6 +39,14 @@ def make_drives(out: Path) -> Any:
     from benchmark.runs.driving import DriveSettings, drive_split
 
     return drive_split(short_road(), "val", Straight(), out, DriveSettings("default", DefaultBackend()))
+
+
+def make_drives_of_windows(out: Path) -> Any:
+    """Drives of a car that cuts in, in its window, and of the unchanged recording in the same one."""
+    from tests.benchmark.runs.test_encounters import both
+
+    unchanged, adversarial = both(out)
+    return adversarial, unchanged
 
 
 def keep(directory: Path, head: str, kind: str, out: Path) -> None:
@@ -60,6 +69,11 @@ def main(out: Path) -> None:
             keep(make_drives(made / "drives").directory, "drive.json", "drives", out)
         except ImportError:
             print("this checkout does not drive yet")
+        try:
+            for record, kind in zip(make_drives_of_windows(made / "windows"), WINDOWS, strict=True):
+                keep(record.directory, "drive.json", kind, out)
+        except ImportError:
+            print("this checkout has no windows yet")
         try:
             from tests.generation.splits.frozen_files import frozen_file, recordings
         except ImportError:

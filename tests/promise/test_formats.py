@@ -8,6 +8,7 @@ import pytest
 
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.machine.storage import file_sha256
+from benchmark.metrics.drive_effect import collect_drive_effects
 from benchmark.records import drive_schema, run_schema
 from benchmark.records.drives import DriveRecord, load_drives
 from benchmark.records.row_schema import SampleRow
@@ -18,8 +19,9 @@ from generation.splits import format as frozen_format
 from generation.splits.building import build_frozen
 from generation.splits.format import read_frozen
 from generation.splits.packaged import read_frozen_split
+from tests.benchmark.runs import test_encounters
 from tests.generation.splits.frozen_files import BUILT, recordings
-from tests.promise.make_formats import make_drives, make_run, short_road
+from tests.promise.make_formats import WINDOWS, make_drives, make_drives_of_windows, make_run, short_road
 
 KEPT = Path(__file__).resolve().parent / "kept" / "formats"
 RUNS, DRIVES, FROZEN = (sorted(KEPT.glob(pattern)) for pattern in ("run-*", "drives-*", "frozen-*.json"))
@@ -80,6 +82,28 @@ def test_a_record_of_drives_loads_and_its_plans_are_driven_as_they_are_today(
     new = rescore_drives(directory, short_road())
     assert new.rows == drives_of_today.rows and new.summary == drives_of_today.summary
     assert load_drives(directory) == new
+
+
+@pytest.fixture(scope="module")
+def windows_of_today(tmp_path_factory: pytest.TempPathFactory) -> list[DriveRecord]:
+    return [*make_drives_of_windows(tmp_path_factory.mktemp("windows"))]
+
+
+@pytest.mark.parametrize("schema", range(1, drive_schema.SCHEMA + 1))
+def test_drives_of_a_window_load_are_paired_and_driven_as_they_are_today(
+    schema: int, windows_of_today: list[DriveRecord], tmp_path: Path
+) -> None:
+    names = [f"{kind}-{schema}" for kind in WINDOWS]
+    old = [load_drives(KEPT / name) for name in names]
+    (effect,), (effect_of_today,) = collect_drive_effects(old), collect_drive_effects(windows_of_today)
+    assert effect.effects == effect_of_today.effects and effect.unpaired == 0
+    for name, today, source in zip(
+        names, windows_of_today, (test_encounters.data(), test_encounters.RECORDED), strict=True
+    ):
+        directory = Path(shutil.copytree(KEPT / name, tmp_path / name))
+        new = rescore_drives(directory, source)
+        assert new.rows == today.rows and new.summary == today.summary
+        assert new.facts.measured == today.facts.measured and load_drives(directory) == new
 
 
 @pytest.fixture(scope="module")

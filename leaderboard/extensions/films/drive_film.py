@@ -12,7 +12,15 @@ from benchmark.geometry import Floats
 from benchmark.records.drives import DriveRecord
 from benchmark.records.search_trace import FrameAction
 from benchmark.report.birdseye import BirdseyeScene
-from benchmark.report.canvas import SHIFT, Picture, sanitise_name, text_width, truncate_to_width, write_text
+from benchmark.report.canvas import (
+    SHIFT,
+    Picture,
+    sanitise_name,
+    text_width,
+    truncate_to_width,
+    wrap_to_width,
+    write_text,
+)
 from benchmark.report.captions import LegendEntry, draw_entry, draw_swatch
 from benchmark.report.cells import MINIATURE_WORDS
 from benchmark.report.episode_page import STRIP_S, EpisodePage, list_strip_steps, list_touches
@@ -58,6 +66,8 @@ OUTCOME_WORDS: Final[dict[FrameAction, str]] = {
     "slowed": "found nothing admissible; brakes or keeps its plan",
 }
 _EDGE_PX: Final = 14
+_LINE_PX: Final = 18
+_WORLD_CHARACTERS: Final = 400
 _CHART_PX: Final = 240
 _STRIP_PX: Final = 54
 _LEAST_TOP_M_S: Final = 5.0
@@ -128,10 +138,12 @@ class DriveFilm:
         measured, run = self.record.facts.measured, self.driven.row.run
         family = self.driven.row.family
         numbered = f"{f', {family}' if family else ''}{f', run {run}' if self.record.facts.runs > 1 else ''}"
-        world = f"{sanitise_name(measured.world)}, sensor {sanitise_name(measured.sensor)}{numbered}"
+        world = f"{sanitise_name(measured.world, _WORLD_CHARACTERS)}, sensor {sanitise_name(measured.sensor)}{numbered}"
         where = f"closed loop: {world}; {sanitise_name(self._sheet.data.name)} {sanitise_name(self._sheet.split)}"
-        where = truncate_to_width(where, image.shape[1] - round(x) - 90, size_px=14)
-        write_text(image, where, (x, y), size_px=14, colour=TITLE_FAINT)
+        lines = wrap_to_width(where, image.shape[1] - round(x) - 90, 2, size_px=14)
+        for number, line in enumerate(lines):
+            at = x, y + _LINE_PX * (number - (len(lines) - 1) / 2)
+            write_text(image, line, at, size_px=14, colour=TITLE_FAINT)
         now = f"{self.driven.seconds[frame]:.1f} s"
         write_text(image, now, (image.shape[1] - 14.0, y), size_px=18, colour=TITLE_INK, bold=True, anchor="right")
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from benchmark.cli.app import app
+from benchmark.records.drives import find_drives
 from benchmark.records.run import find_records
 from tests.benchmark.cli.cli_runs import bytes_below
 from tests.generation.nuscenes_writer.written_roots import write_root
@@ -143,19 +144,23 @@ def test_a_split_whose_generation_is_killed_is_the_same(source: Path, undisturbe
     assert bytes_below(tmp_path / "data") == bytes_below(undisturbed / "data")
 
 
-def driving(source: Path, out: Path) -> list[str]:
-    split = ["--split", "val", "--workers", "1"]
+def driving(source: Path, out: Path, *more: str) -> list[str]:
+    split = ["--split", "val", *more, "--workers", "1"]
     return ["drive", "--data", str(source), "--out", str(out), *split, "--model", "stop", "--agents", "idm"]
 
 
 @pytest.mark.slow
-def test_drives_that_are_killed_go_on(source: Path, tmp_path: Path) -> None:
-    finish(driving(source, tmp_path / "whole"))
+def test_drives_that_are_killed_go_on_on_both_sides_of_a_pair(source: Path, undisturbed: Path, tmp_path: Path) -> None:
+    for name in ("whole", "cut"):
+        shutil.copytree(undisturbed / "data", tmp_path / name / "data")
+    made = len(bytes_below(tmp_path / "cut"))
+    paired = "--split", "adv", "--window", "encounter"
+    finish(driving(source, tmp_path / "whole", *paired))
     whole = bytes_below(tmp_path / "whole")
-    for files in (2, 7):
-        kill_at(driving(source, tmp_path / "cut"), tmp_path / "cut", files)
-    finish(driving(source, tmp_path / "cut"))
-    assert bytes_below(tmp_path / "cut") == whole and len(whole) == 5 * 4
+    for files in (2, 7, 22):
+        kill_at(driving(source, tmp_path / "cut", *paired), tmp_path / "cut", made + files)
+    finish(driving(source, tmp_path / "cut", *paired))
+    assert bytes_below(tmp_path / "cut") == whole and len(find_drives(tmp_path / "whole")) == 2 * 5
 
 
 @pytest.mark.slow

@@ -19,6 +19,7 @@ from tests.benchmark.cli.cli_runs import bytes_below
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.machine import units_of_work
 from tests.benchmark.planners import Factory, Remembering
+from tests.benchmark.runs import test_encounters
 
 # Ray leaves sockets and log files to the collector when its nodes are stopped.
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")
@@ -115,4 +116,5 @@ def test_drives_on_a_cluster_are_the_same_bytes(executor: RayCluster, tmp_path: 
     for name, where in (("here", LocalProcesses(1)), ("cluster", executor)):
         settings = DriveSettings("default", DefaultBackend("idm"), "idm", executor=where)
         drive_split(town_of_two(), "val", Factory(Remembering), tmp_path / name, settings, reopen=town_of_two)
+        test_encounters.both(tmp_path / name, Factory(), test_encounters.two_variants, executor=where)
     assert bytes_below(tmp_path / "here") == bytes_below(tmp_path / "cluster")

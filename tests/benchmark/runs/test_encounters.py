@@ -1,5 +1,6 @@
 """Drives around an encounter: where the window is, who keeps its track, and the same on the recording."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,13 +16,16 @@ from benchmark.datasets.scene_facts import build_scene_facts
 from benchmark.errors import InputError
 from benchmark.machine.workers import LocalProcesses
 from benchmark.metrics.drive_effect import collect_drive_effects
+from benchmark.planning import Planner
 from benchmark.records.drive_schema import EpisodeRow
-from benchmark.records.drives import load_drives
+from benchmark.records.drives import DriveRecord, load_drives
 from benchmark.records.run_schema import SceneFacts
-from benchmark.runs.driving import DriveSettings, drive_split
+from benchmark.runs.driving import DriveSettings, drive_shard, drive_split
 from benchmark.runs.encounters import find_departure, find_windows, transfer_windows
+from benchmark.runs.plan_rows import PlannerFactory
 from benchmark.runs.redriving import redrive_and_score
 from benchmark.runs.rescoring_drives import rescore_drives
+from benchmark.runs.units import Shard
 from benchmark.scene import Scene
 from leaderboard.tables.drives import drive_tables
 from tests.benchmark.cli.cli_runs import bytes_below
@@ -78,6 +82,16 @@ def data(launches: int | None = LAUNCH, **changes: Any) -> Made:
 
 
 RECORDED = FakeData({"scene-9901": recording()})
+
+
+def unchanged_data() -> FakeData:
+    return RECORDED
+
+
+def two_variants() -> Made:
+    """Of one recording, which is driven in two windows then."""
+    made, gone = data(), data(60, launch=60, name="scene-9901-gone", leaves=True)
+    return Made({**made.scenes, **gone.scenes}, launches={**made.launches, **gone.launches})
 
 
 def settings(agents: str = "idm", **changes: Any) -> DriveSettings:
@@ -165,12 +179,19 @@ def test_the_recording_is_driven_in_the_same_windows() -> None:
         transfer_windows(own, data(), FakeData({"scene-9901": recording(8.0)}), ("scene-9901",))
 
 
-def both(out: Path, **changes: Any) -> list[Any]:
+def sides(made: Callable[[], Made], **changes: Any) -> list[tuple[str, DriveSettings, Callable[[], FakeData]]]:
+    """Split, settings and data of both sides."""
     adversarial = settings(**changes)
-    unchanged = api.follow_windows(adversarial, "adv", data(), RECORDED, "val")
+    unchanged = api.follow_windows(adversarial, "adv", made(), RECORDED, "val")
+    return [("val", unchanged, unchanged_data), ("adv", adversarial, made)]
+
+
+def both(
+    out: Path, planner: Planner | PlannerFactory | None = None, made: Callable[[], Made] = data, **changes: Any
+) -> list[DriveRecord]:
+    planner = planner or Straight()
     return [
-        drive_split(RECORDED, "val", Straight(), out, unchanged),
-        drive_split(data(), "adv", Straight(), out, adversarial),
+        drive_split(source(), split, planner, out, how, reopen=source) for split, how, source in sides(made, **changes)
     ]
 
 
@@ -201,6 +222,7 @@ def test_a_drive_in_a_window_is_repeated_and_scored_anew(tmp_path: Path) -> None
         assert redrive_and_score(DefaultBackend("idm"), source.scene(row.scene), source, row) == row
         before = bytes_below(record.directory)
         assert rescore_drives(record.directory, source) == record and bytes_below(record.directory) == before
+    assert row.window is not None
     spoilt = replace(row.window, end=99)
     with pytest.raises(InputError, match=r"the window of .* does not fit"):
         redrive_and_score(
@@ -208,11 +230,21 @@ def test_a_drive_in_a_window_is_repeated_and_scored_anew(tmp_path: Path) -> None
         )
 
 
-def test_the_same_bytes_with_any_number_of_processes_and_nothing_is_driven_twice(tmp_path: Path) -> None:
+def test_both_sides_are_the_same_bytes_with_any_number_of_processes_and_in_shards(tmp_path: Path) -> None:
     for workers in (1, 2):
-        where = settings(executor=LocalProcesses(workers), together=2)
-        drive_split(data(), "adv", Factory(Straight), tmp_path / str(workers), where, reopen=data)
-    assert bytes_below(tmp_path / "1") == bytes_below(tmp_path / "2")
+        both(tmp_path / str(workers), Factory(), two_variants, executor=LocalProcesses(workers), together=2)
+    for number in (2, 1):
+        for split, how, source in sides(two_variants):
+            drive_shard(source(), split, [Factory()], tmp_path / "cut", how, Shard(number, 2), reopen=source)
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("cut/**/drives/*")}
+    assert len(kept) == 4 and not [*tmp_path.glob("cut/**/drive.json")]
+    plain, made = both(tmp_path / "cut", Factory(), two_variants)
+    assert all(path.stat().st_mtime_ns == at for path, at in kept.items())
+    assert bytes_below(tmp_path / "1") == bytes_below(tmp_path / "2") == bytes_below(tmp_path / "cut")
+    assert len(plain.rows) == len(made.rows) == 2
+
+
+def test_nothing_is_driven_twice_but_what_has_another_window(tmp_path: Path) -> None:
     planner = Straight()
     drive_split(data(), "adv", planner, tmp_path / "again", settings())
     calls = planner.calls

@@ -223,7 +223,9 @@ def test_a_film_from_sheets_and_records(tmp_path: Path) -> None:
     assert missing.code == 2 and "challenger-bench sheets" in refusal and default.startswith("split adv, the default")
 
 
-def test_a_film_of_a_window_begins_there_and_marks_the_adversary_when_it_departs(tmp_path: Path) -> None:
+def test_a_film_of_a_window_begins_there_and_marks_the_adversary_when_it_departs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     scene, data = cut_in(), adversarial_data()
     settings = DriveSettings("default", DefaultBackend("idm"), "idm", window="encounter")
     record = drive_split(data, "adv", Straight(), tmp_path / "out", settings)
@@ -237,3 +239,10 @@ def test_a_film_of_a_window_begins_there_and_marks_the_adversary_when_it_departs
     assert max(count for frame, count in orange.items() if frame < departs - 1) < 50 < orange[departs] / 2
     strip = {frame: pixels_of(picture[-60:, :300], CONTACT) for frame, picture in pictures.items()}
     assert record.rows[0].contact is not None and strip[film.frames[0]] == 0 < strip[film.frames[-1]]
+    said: list[str] = []
+    monkeypatch.setattr("leaderboard.extensions.films.drive_film.write_text", lambda *args, **_: said.append(args[1]))
+    long = driven.stored.sheet.model_copy(update={"scene": "scene-9901-cut-in-from-the-left-lane"})
+    next(iter(film_of((record, replace(driven, stored=replace(driven.stored, sheet=long))))))
+    assert said[0] == long.scene and " ".join(said[1:3]).startswith(
+        "closed loop: default, agents idm (adversary on its track), window encounter, sensor none; fake adv"
+    )
