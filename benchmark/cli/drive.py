@@ -30,6 +30,7 @@ from benchmark.report.words import format_options
 if TYPE_CHECKING:
     from adapters.registry import NamedPlanner
     from benchmark.datasets.roots import DataSet
+    from benchmark.machine.workers import Executor
     from benchmark.records.drives import DriveRecord
     from benchmark.runs.driving import DriveSettings
 
@@ -172,7 +173,7 @@ def drive_command(options: DriveOptions) -> None:
         require_one_device(options.device, "a Ray cluster assigns GPUs to its tasks")
     place = make_executor(options.executor, options.address, count_workers(options.workers, options.device))
     data, scenes = api.DataSource.of(options), parse_name_list(options.scenes)
-    taken = choose_drive_splits(data, options, scenes)
+    taken = choose_drive_splits(data, options.split, scenes, options.limit)
     require_place(options.out, "--out")
     taken.say()
     building = {split: ahead for split, ahead in taken.ahead.items() if ahead.builds}
@@ -193,7 +194,12 @@ def drive_command(options: DriveOptions) -> None:
     root = space.drive_root()
     jobs = [
         (dataset, split, replace(how, timings=space.timings_of(root)))
-        for dataset, split, how in plan_splits(data, [*taken.ahead], options, scenes, place)
+        for dataset, split, how in plan_splits(
+            data,
+            [*taken.ahead],
+            lambda split, adversarial: _settings(options, split, scenes, place, adversarial=adversarial),
+            paired=options.engine == "default" and options.agents != "adversary",
+        )
     ]
     if options.dry_run:
         from benchmark.runs.drive_estimate import estimate_driving
@@ -245,6 +251,26 @@ def _suggest_evaluation(options: DriveOptions, driven: "Sequence[tuple[str, Driv
     given = format_options(split=splits, model=missing, checkpoint=options.checkpoint, **served)
     step = (f"eval{given}{repeat_data_options(options)}", "evaluate the same planners in open loop")
     return step if missing else None
+
+
+def _settings(
+    options: DriveOptions, split: str, scenes: tuple[str, ...] | None, place: "Executor", *, adversarial: bool
+) -> "DriveSettings":
+    same = (
+        *("engine", "agents", "window", "adversary_knows", "adversary_others", "adversary_rounds", "limit", "seed"),
+        *("adversary_candidates", "adversary_tracks", "keep_considered", "sensor", "accept_torch_tensors", "until"),
+        *("scenarios", "target", "runs"),
+    )
+    return api.drive_settings(
+        split,
+        adversarial=adversarial,
+        adversary_every_s=options.adversary_every,
+        latency_ms=options.latency,
+        timeout_s=options.timeout,
+        scenes=scenes,
+        executor=place,
+        **{name: getattr(options, name) for name in same},
+    )
 
 
 def _require_engine(options: DriveOptions) -> None:

@@ -1,6 +1,6 @@
 """Splits that ``drive`` takes, and how each is driven: recordings beside an adversarial split in its windows."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -8,46 +8,48 @@ from benchmark import api
 from benchmark.cli.splits import ChosenSplits, choose_splits
 
 if TYPE_CHECKING:
-    from benchmark.cli.drive import DriveOptions
     from benchmark.datasets.roots import DataSet
-    from benchmark.machine.workers import Executor
     from benchmark.runs.driving import DriveSettings
 
 
 def choose_drive_splits(
-    data: "api.DataSource", options: "DriveOptions", scenes: tuple[str, ...] | None
+    data: "api.DataSource", splits: Sequence[str], scenes: tuple[str, ...] | None, limit: int | None
 ) -> ChosenSplits:
     """The splits; of recordings beside an adversarial one: those that its chosen scenes came from."""
     from benchmark.records.seed_splits import is_adversarial
 
-    if not any(map(is_adversarial, options.split)):
-        return choose_splits(data, options.split, scenes, options.limit)
-    leading = [split for split in options.split if is_adversarial(split)]
-    taken = choose_splits(data, leading, scenes, options.limit)
-    others = {split: data.require_split(split) for split in options.split if split not in leading}
+    leading = [split for split in splits if is_adversarial(split)]
+    if not leading:
+        return choose_splits(data, splits, scenes, limit)
+    taken = choose_splits(data, leading, scenes, limit)
+    others = {split: data.require_split(split) for split in splits if split not in leading}
     return ChosenSplits({**taken.ahead, **others}, taken.sentence)
 
 
 def plan_splits(
     source: "api.DataSource",
-    splits: "Sequence[str]",
-    options: "DriveOptions",
-    scenes: tuple[str, ...] | None,
-    place: "Executor",
+    splits: Sequence[str],
+    settings_of: "Callable[[str, bool], DriveSettings]",
+    *,
+    paired: bool,
 ) -> "list[tuple[DataSet, str, DriveSettings]]":
-    """Data set, name and settings of what is driven; of recordings once for each adversarial split beside them."""
+    """Data set, name and settings of what is driven.
+
+    ``settings_of`` makes settings of a split and whether it is adversarial. ``paired``, recordings beside adversarial
+    splits are driven once for each of these, in its windows.
+    """
     recordings = source.open()
     opened = {split: source.open_split(split, recordings) for split in splits}
-    leading = {split: _has_adversaries(data, split) for split, data in opened.items()}
-    pairs = options.engine == "default" and options.agents != "adversary" and any(leading.values())
+    leading = [split for split, data in opened.items() if _has_adversaries(data, split)]
+    others = [split for split in opened if split not in leading] if paired and leading else []
     planned: list[tuple[DataSet, str, DriveSettings]] = []
     for split, data in opened.items():
-        if pairs and not leading[split]:
-            continue
-        how = _with_windows(_settings(options, split, scenes, place, leading[split]), split, data, recordings)
-        others = [name for name in opened if pairs and not leading[name]]
-        planned += [(opened[name], name, api.follow_windows(how, split, data, opened[name], name)) for name in others]
-        planned.append((data, split, how))
+        if split not in others:
+            how = _with_windows(settings_of(split, split in leading), split, data, recordings)
+            planned += [
+                (opened[name], name, api.follow_windows(how, split, data, opened[name], name)) for name in others
+            ]
+            planned.append((data, split, how))
     return planned
 
 
@@ -75,23 +77,3 @@ def _with_windows(how: "DriveSettings", split: str, data: "DataSet", recordings:
             f"depart ({', '.join(whole[:3])}{' ...' if len(whole) > 3 else ''})"
         )
     return replace(how, windows=windows)
-
-
-def _settings(
-    options: "DriveOptions", split: str, scenes: tuple[str, ...] | None, place: "Executor", adversarial: bool
-) -> "DriveSettings":
-    same = (
-        *("engine", "agents", "window", "adversary_knows", "adversary_others", "adversary_rounds", "limit", "seed"),
-        *("adversary_candidates", "adversary_tracks", "keep_considered", "sensor", "accept_torch_tensors", "until"),
-        *("scenarios", "target", "runs"),
-    )
-    return api.drive_settings(
-        split,
-        adversarial=adversarial,
-        adversary_every_s=options.adversary_every,
-        latency_ms=options.latency,
-        timeout_s=options.timeout,
-        scenes=scenes,
-        executor=place,
-        **{name: getattr(options, name) for name in same},
-    )

@@ -10,7 +10,7 @@ the published Adv-nuSc has, so they are read here.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,15 @@ _FIT_FRAMES: Final = FRAME_HZ + 1
 """Derived motion is fitted to the poses of the last second."""
 _FIT_QUADRATIC_FROM: Final = 7
 """Below this many poses a parabola follows the jitter of the localisation."""
+
+
+def move_messages(messages: Any, later_us: int) -> int:
+    """Move what of a CAN bus file's content has a time, by whole microseconds; how many messages that are."""
+    listed = messages if isinstance(messages, list) else []
+    timed = [message for message in listed if isinstance(message, dict) and type(message.get("utime")) is int]
+    for message in timed:
+        message["utime"] += later_us
+    return len(timed)
 
 
 @dataclass(frozen=True, slots=True)

@@ -99,13 +99,16 @@ def find_departure(scene: Scene, launches: Mapping[str, int], recorded: Scene | 
 
 def find_recorded_agent(scene: Scene, name: str, recorded: Scene, until_s: float = np.inf) -> int | None:
     """Index in a recording of who is where an agent of a scene is up to a time, or as long as it can be told."""
-    agent = scene.agents.ids.index(name)
-    away, present = _measure_from_recorded(scene, agent, recorded)
-    before = present & (scene.seconds <= until_s + _ROUNDING_S)
+    away, present = _measure_from_recorded(scene, scene.agents.ids.index(name), recorded)
+    return _find_same(away, present, scene.seconds <= until_s + _ROUNDING_S)
+
+
+def _find_same(away: Floats, present: Bools, counted: Bools) -> int | None:
+    """Row of (N, T) distances that is near from its first frame on for longest; (T,) frames until then count."""
+    before = present & counted
     frames = np.flatnonzero(before.any(axis=0))
     if not len(frames):
         return None
-    # From its first frame on it is where it was recorded, for as long as possible.
     far = np.where(present & (away > MOVED_M), np.arange(away.shape[1]), away.shape[1]).min(axis=1)
     far[~(before & (away <= MOVED_M)).any(axis=1)] = 0
     best = int(np.argmax(far)) if len(far) else 0
@@ -114,8 +117,9 @@ def find_recorded_agent(scene: Scene, name: str, recorded: Scene, until_s: float
 
 def _find_window(data: "DataSet", name: str, recordings: "DataSet | None", *, whole: bool) -> EncounterWindow:
     scene, source = read_adversarial_scene(data, name, recordings), data.scene_facts([name])[name].source
-    recorded = None if source == name else find_recording(data, name, recordings)
-    departs_s = find_departure(scene, read_launches(data, scene), recorded)
+    launches = read_launches(data, scene)
+    recorded = None if launches or source == name else find_recording(data, name, recordings)
+    departs_s = find_departure(scene, launches, recorded)
     last = len(scene.keyframes) - 1
     if last < PRIMING_STEPS + 1:
         raise InputError(f"scene {name} has {last + 1} keyframes, too few for a drive; leave it out with --scenes")
@@ -150,9 +154,9 @@ def _find_first_difference(scene: Scene, name: str, recorded: Scene) -> float | 
     """When an agent first is elsewhere than in the recording; at its first frame if the recording does not have it."""
     agent = scene.agents.ids.index(name)
     frames = np.flatnonzero(scene.agents.valid[agent])
-    same = find_recorded_agent(scene, name, recorded)
+    away, present = _measure_from_recorded(scene, agent, recorded)
+    same = _find_same(away, present, np.ones_like(scene.seconds, np.bool_))
     if same is not None:
-        away, present = _measure_from_recorded(scene, agent, recorded)
         frames = frames[(~present[same] | (away[same] > MOVED_M))[frames]]
     return float(scene.seconds[frames[0]]) if len(frames) else None
 

@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.constants import EGO_WHEELBASE_M
+from benchmark.datasets.can_bus import move_messages
 from benchmark.datasets.scene_names import find_can_bus_file
 from benchmark.geometry import Floats, rotation_matrix
 from benchmark.machine.storage import canonical_json, read_json
@@ -56,11 +57,8 @@ def _read_shifted(path: Path, shift_us: int) -> bytes:
     """A recorded file, or the same with its messages later; keys keep their order, which converters go by."""
     data = path.read_bytes()
     content = read_json(path) if shift_us else None
-    messages = content if isinstance(content, list) else []
-    timed = [message for message in messages if isinstance(message, dict) and type(message.get("utime")) is int]
-    for message in timed:
-        message["utime"] += shift_us
-    return (json.dumps(content, separators=(",", ":")) + "\n").encode() if timed else data
+    moved = move_messages(content, shift_us)
+    return (json.dumps(content, separators=(",", ":")) + "\n").encode() if moved else data
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,11 +16,12 @@ import numpy as np
 
 from benchmark.constants import CAMERA_NAMES, LIDAR_NAME, NUSCENES_TABLES, OFFICIAL_LOCATIONS
 from benchmark.datasets.cached_tables import read_tables_cached
+from benchmark.datasets.can_bus import move_messages
 from benchmark.datasets.devkit_import import import_devkit_module
 from benchmark.datasets.map_layers import find_expansion_file
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.roots import DataSet
-from benchmark.datasets.scene_names import NAME, NUMBERED, SHIFT_US, find_can_bus_file, find_shift_us
+from benchmark.datasets.scene_names import NUMBERED, PROVENANCE, SHIFT_US, find_can_bus_file, find_shift_us
 from benchmark.datasets.scene_tables import GROWING_TABLES, SceneTables
 from benchmark.datasets.schema import FaultList
 from benchmark.datasets.split_names import BORROWED_NAMES, compute_shifts_us
@@ -150,7 +151,7 @@ class _RootExport:
 
     def is_written(self) -> bool:
         """Whether the folder holds this very export."""
-        mark = self.root.folder / VERSION_FOLDER / "challenger.json"
+        mark = self.root.folder / VERSION_FOLDER / PROVENANCE
         return mark.is_file() and read_json(mark) == self._build_provenance()
 
     def write(self, folder: Path) -> None:
@@ -166,7 +167,7 @@ class _RootExport:
         table.writerow(BorrowedName.__dataclass_fields__)
         table.writerows((scene.scene, scene.name, scene.source_scene, scene.shift_us) for scene in self.root.names)
         write_bytes(folder / NAMES_FILE, text.getvalue().encode())
-        write_json(folder / VERSION_FOLDER / "challenger.json", self._build_provenance())
+        write_json(folder / VERSION_FOLDER / PROVENANCE, self._build_provenance())
 
     def _find_cities(self) -> set[str]:
         cities = set()
@@ -212,7 +213,7 @@ class _RootExport:
             "scenes": {
                 scene.scene: {
                     **({"adversaries": []} if self._facts[scene.name].adversaries == 0 else {}),
-                    **{key: value for key, value in reports.get(scene.name, {}).items() if key not in (NAME, NUMBERED)},
+                    **{key: value for key, value in reports.get(scene.name, {}).items() if key != NUMBERED},
                     "source_scene": scene.source_scene,
                     "exported_from": scene.name,
                     SHIFT_US: find_shift_us(self._made, scene.name) + scene.shift_us,
@@ -284,9 +285,7 @@ class _RootExport:
             if not path.is_file():
                 continue
             content = read_json(path)
-            for row in content if isinstance(content, list) else ():
-                if isinstance(row, dict) and isinstance(row.get("utime"), int):
-                    row["utime"] += scene.shift_us
+            move_messages(content, scene.shift_us)
             try:
                 write_json(folder / f"{scene.scene}_{message}.json", content, indent=None)
             except ValueError as error:

@@ -9,7 +9,7 @@ from typing import Final
 import shapely
 
 from benchmark.datasets.map_layers import find_expansion_file, read_road_map
-from benchmark.datasets.scene_names import find_table_name_below, is_devkit_name
+from benchmark.datasets.scene_names import PROVENANCE, find_table_name_below, is_devkit_name
 from benchmark.datasets.schema import FaultList, StrictFaultList
 from benchmark.datasets.split_names import compute_shifts_us, find_default_split, read_splits, select_scenes
 from benchmark.datasets.tables import find_variant_folders, find_version
@@ -173,7 +173,7 @@ class _InfoConverter:
         """The split that is exported, and its scenes."""
         present = [scene["name"] for scene in self.tables.scenes]
         custom = read_splits(self.root, self.found.version)
-        provenance = self.root / self.found.version / "challenger.json"
+        provenance = self.root / self.found.version / PROVENANCE
         provenance_values = read_json(provenance) if provenance.is_file() else None
         built_as = provenance_values.get("split") if isinstance(provenance_values, dict) else None
         split = self.settings.split or find_default_split(present, custom, where=str(self.root), built_as=built_as)
