@@ -15,8 +15,8 @@ def verify(what: str, golden: Path | None = None, model: str | None = None, *, n
 
     Args:
         what: ``physics``, ``scoring``, ``denoiser``, ``protocols``, ``pdm``, ``drivers``, ``severity``, ``realism``,
-            ``neuroncap``, ``infos``, ``hub``, ``results`` or ``model``.
-        golden: Folder of golden numbers; the built-in set by default, which ``infos``, ``hub``, ``model`` lack.
+            ``neuroncap``, ``infos``, ``hub``, ``import-123d``, ``results`` or ``model``.
+        golden: Folder of golden numbers; the built-in set by default, which the last five lack but for ``results``.
         model: With ``model``: which one.
         noise: With ``model``: also how far our own rounding moves each quantity, for which our network runs twice more.
 

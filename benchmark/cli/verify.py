@@ -31,6 +31,7 @@ class VerifyOptions:
             "realism",
             "fault",
             "hub",
+            "import-123d",
             "model",
         ],
         Option("What to compare.", names=""),

@@ -159,7 +159,7 @@ def _write_root(
     _place_files(root, members)
     logs, maps = write_maps(plan, root, vocabulary, members)
     shared: dict[str, list[Row]] = {
-        "sensor": build_sensor_rows(),
+        "sensor": build_sensor_rows(name for fragment in members for name in fragment.get("channels", ())),
         "category": _merge_labels(vocabulary.category, members, "category"),
         "attribute": _merge_labels(vocabulary.attribute, members, "attribute"),
         "visibility": list(vocabulary.visibility),
