@@ -43,7 +43,7 @@ class LogImages:
         data = dict(zip(held, list_images(source.log, [(key, rows[key]) for key in held]), strict=True))
         firsts = {}
         for one in source.cameras:
-            (image,) = [data[one.key]] if one.key in data else reader._read(one, [rows[one.key]])
+            (image,) = [data[one.key]] if one.key in data else reader.read(one, [rows[one.key]])
             firsts[one.lens.name] = inspect_image(image, f"{one.table.path}, row {rows[one.key]},")
         return cls(source, sensors, firsts)
 
@@ -75,7 +75,7 @@ class LogImages:
             first = self.firsts[camera.lens.name]
             pairs = zip(camera.images.frames.tolist(), camera.images.rows.tolist(), strict=True)
             taken = [(frame, row) for frame, row in pairs if frame in wanted]
-            for (frame, row), data in zip(taken, self._read(camera, [row for _, row in taken]), strict=True):
+            for (frame, row), data in zip(taken, self.read(camera, [row for _, row in taken]), strict=True):
                 where = f"{camera.table.path}, row {row},"
                 kind, size = inspect_image(data, where)
                 if (kind, size) != first:
@@ -89,7 +89,7 @@ class LogImages:
         """Width and height of the images of each camera, by its name."""
         return {name: size for name, (_, size) in self.firsts.items()}
 
-    def _read(self, camera: LogCamera, rows: list[int]) -> Iterator[bytes]:
+    def read(self, camera: LogCamera, rows: list[int]) -> Iterator[bytes]:
         """Bytes of the images in some rows, wherever they are kept."""
         kind, table = camera.table.types.get("data"), camera.table
         if kind == "binary":

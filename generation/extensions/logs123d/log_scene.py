@@ -35,7 +35,7 @@ from generation.extensions.logs123d.log_files import (
     to_pose,
 )
 from generation.extensions.logs123d.poses import IDENTITY, compose, interpolate, invert, shift, to_track
-from generation.extensions.logs123d.road_maps import ReadMap, build_road_map, find_low_corner, move_map
+from generation.extensions.logs123d.road_maps import ReadMap, build_road_map, find_extent, move_map
 
 NUSCENES: Final = "nuscenes"
 _FIRST_US, _LAST_US = 946_684_800_000_000, 4_102_444_800_000_000
@@ -43,6 +43,9 @@ _FIRST_US, _LAST_US = 946_684_800_000_000, 4_102_444_800_000_000
 _CLOCK_START_US: Final = 1_577_836_800_000_000
 _CLOCK_SPAN_S: Final = 300_000_000
 _REACH_M: Final = 250.0
+"""Of the map, around the ego's path."""
+_FARTHEST_M: Final = 3000.0
+"""That an object of it reaches beyond that: masks of maps have a pixel for each 0.1 m."""
 _MARGIN_M: Final = 20.0
 _VISIBLE: Final = 4
 _UNITED_STATES: Final = ("av2", "wod", "nuplan", "pandaset")
@@ -210,7 +213,15 @@ def _read_place(log: LogTables, maps: Path | None, ego: Floats) -> tuple[RoadMap
     read: ReadMap = build_road_map(
         objects, path=path, location=location, named_after=named_after, only_drivable=is_nuscenes
     )
-    return read.road_map.near(bounds), named_after, read.left_out
+    # Scenes of one place share its map, of which each brings the objects around it, whole.
+    road_map = read.road_map if location == place else read.road_map.near(bounds)
+    lowest, highest = find_extent(road_map)
+    if (lowest < low - _FARTHEST_M).any() or (highest > high + _FARTHEST_M).any():
+        raise InputError(
+            f"{path} has an object near {log.folder} that reaches more than {_FARTHEST_M:g} m from it; convert the map "
+            "again"
+        )
+    return road_map, named_after, read.left_out
 
 
 def _name_location(log: LogTables) -> str:
@@ -225,7 +236,7 @@ def _find_shift(log: LogTables, road_map: RoadMap, ego: Floats) -> Floats:
     """(3,) whole metres to a world near the origin where all of it is positive; nuScenes' own places stay."""
     if road_map.location in OFFICIAL_LOCATIONS:
         return np.zeros(3)
-    low = np.minimum(find_low_corner(road_map), ego[:, :2].min(axis=0))
+    low = np.minimum(find_extent(road_map)[0], ego[:, :2].min(axis=0))
     if BOXES in log.others:
         centres = read_boxes(log.others[BOXES]).box[:, :2]
         near = centres[(np.abs(centres - ego[0, :2]) < 10 * _REACH_M + np.ptp(ego[:, :2])).all(axis=1)]

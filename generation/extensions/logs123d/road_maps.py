@@ -230,8 +230,8 @@ def move_map(road_map: RoadMap, by_m: Floats) -> RoadMap:
     )
 
 
-def find_low_corner(road_map: RoadMap) -> Floats:
-    """(2,) lowest x and y of everything in a map, infinite in an empty one."""
+def find_extent(road_map: RoadMap) -> Floats:
+    """(2, 2) lowest and highest x and y of everything in a map; infinite, and the other way round, in an empty one."""
     shapes = [
         road_map.drivable_area,
         *(LineString(lane.centerline) for lane in road_map.lanes.values()),
@@ -240,5 +240,5 @@ def find_low_corner(road_map: RoadMap) -> Floats:
         *(shape for layer in (road_map.road_segments, road_map.stop_lines) for shape in layer.values()),
         *road_map.carparks.values(),
     ]
-    bounds = np.array([shape.bounds[:2] for shape in shapes if not shape.is_empty]).reshape(-1, 2)
-    return bounds.min(axis=0, initial=np.inf)
+    bounds = np.array([shape.bounds for shape in shapes if not shape.is_empty]).reshape(-1, 4)
+    return np.stack([bounds[:, :2].min(axis=0, initial=np.inf), bounds[:, 2:].max(axis=0, initial=-np.inf)])
