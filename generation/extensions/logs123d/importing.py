@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from benchmark.datasets.scene_names import is_devkit_name
 from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.storage import lock_folder
 from benchmark.machine.workers import LocalProcesses
@@ -15,7 +16,8 @@ from generation.extensions.logs123d.images import LogImages
 from generation.extensions.logs123d.log_files import find_logs, read_log
 from generation.extensions.logs123d.log_scene import build_log_scene, with_cameras
 from generation.nuscenes_writer import DataSetPlan, finish_data_set
-from generation.nuscenes_writer.scenes import WrittenScene, write_scene_if_missing
+from generation.nuscenes_writer.numbering import SceneNumber, number_scenes
+from generation.nuscenes_writer.scenes import WrittenScene, read_state, release_claim, write_scene_if_missing
 from generation.sources.importing import VERSION_FOLDER
 
 _DEFAULT_SPLIT = "val"
@@ -75,7 +77,7 @@ def import_123d(logs: Path, root: Path, settings: LogImport | None = None, *, wo
     folders = _choose(logs, settings)
     plan = DataSetPlan(root=root, version=VERSION_FOLDER, split=settings.split or _DEFAULT_SPLIT, keeps_instances=True)
     with lock_folder(root):
-        work, where = partial(_import_one, plan, settings), LocalProcesses(workers)
+        work, where = partial(_import_one, plan, settings, _number(folders)), LocalProcesses(workers)
         imported = list(run_units(work, folders, where, total=len(folders), label="importing logs", noun="log"))
         members: dict[str, list[str]] = {}
         for log in imported:
@@ -104,7 +106,16 @@ def _choose(logs: Path, settings: LogImport) -> list[Path]:
     return chosen
 
 
-def _import_one(plan: DataSetPlan, settings: LogImport, folder: Path) -> ImportedLog:
+def _number(folders: Sequence[Path]) -> dict[str, SceneNumber]:
+    """Names in the tables, for the devkit's readers of CAN bus and maps, of logs that are not called like scenes."""
+    others = [path.name for path in folders if not is_devkit_name(path.name)]
+    # Their times are known only once they are read, and need not move.
+    return number_scenes({name: (0, 0) for name in others}, {path.name for path in folders})
+
+
+def _import_one(
+    plan: DataSetPlan, settings: LogImport, numbers: Mapping[str, SceneNumber], folder: Path
+) -> ImportedLog:
     log = read_log(folder)
     name, split = log.text("log_name"), settings.split or log.text("split").rpartition("_")[2] or _DEFAULT_SPLIT
     if name != folder.name:
@@ -114,7 +125,17 @@ def _import_one(plan: DataSetPlan, settings: LogImport, folder: Path) -> Importe
     scene = source.scene if images is None else with_cameras(source, images.sizes())
     report = {**source.facts, "images": None if images is None else images.digest()}
     own = replace(plan, split=split, renderer=images)
-    written = write_scene_if_missing(own, scene, name=name, source_scene=name, report=report)
+    row = numbers[name].name if name in numbers else None
+    number = None if row is None else SceneNumber(row, 0)
+    try:
+        written = write_scene_if_missing(own, scene, name=name, source_scene=name, report=report, number=number)
+    except InputError:
+        # An image that is found damaged late: nothing of its log stays.
+        claim = read_state(own.claim_path(0, name))
+        if claim is not None:
+            release_claim(own, claim, frozenset())
+            own.claim_path(0, name).unlink(missing_ok=True)
+        raise
     return ImportedLog(name, split, written, source.facts)
 
 

@@ -144,7 +144,7 @@ def build_log_scene(log: LogTables, maps: Path | None, *, images: bool) -> LogSc
     road_map = place if place.location in OFFICIAL_LOCATIONS else move_map(place, by_m[:2])
     agents, annotations, unlabelled = _read_objects(log, key_frames, by_m)
     views = {camera.lens.name: camera.lens.view_deg() for camera in cameras}
-    lacks += [f"a camera that looks {side}" for side in (name_missing_views(views) if cameras else ())]
+    lacks += [f"camera that looks {side}" for side in (name_missing_views(views) if cameras else ())]
     lacks += [name for name, there in (("boxes", BOXES in log.others), ("map", named_after is not None)) if not there]
     scene = Scene(
         name=log.text("log_name"),
@@ -166,7 +166,7 @@ def build_log_scene(log: LogTables, maps: Path | None, *, images: bool) -> LogSc
         "form": "123d",
         "written_by": f"py123d {log.sync.metadata['version']}",
         "dataset": log.text("dataset"),
-        "split": log.text("split"),
+        "log": log.title,
         "lacks": lacks,
         "left_out": [*left_out, *(f"{count} boxes {name}" for name, count in sorted(unlabelled.items())), *log.unused],
         "key_frames_without_image": {lenses[key].name: count for key, count in sorted(missing.items()) if count},
