@@ -82,7 +82,8 @@ class Table:
     def require_poses(self, values: Floats, name: str) -> Floats:
         """Refuse poses, (N, 7) and more, that are no places in the world or no rotations; rows of NaN are none."""
         known = values[~np.isnan(values).all(axis=1)]
-        length = np.linalg.norm(known[:, 3:7], axis=1)
+        with np.errstate(over="ignore", invalid="ignore"):
+            length = np.linalg.norm(known[:, 3:7], axis=1)
         if not np.isfinite(known).all() or (np.abs(known[:, :3]) > FARTHEST_M).any():
             raise self.damaged(f"its {name} holds numbers that are not finite, or no place on earth")
         if (np.abs(length - 1.0) > 1e-2).any():
@@ -193,6 +194,10 @@ def read_log(folder: Path) -> LogTables:
             f"{sync.path} was written by py123d {to_one_line(repr(version), 40)}; only 0.7 is known here: convert "
             "the log with it"
         )
+    for key in sync.columns:
+        is_used = key in (EGO, BOXES) or key.startswith(f"{CAMERA}.")
+        if is_used and key not in tables and (sync.numbers(key) >= 0).any():
+            raise InputError(f"{folder} has no file {key}.arrow, of which its frames name rows; convert the log again")
     unused = [key for key in keys if key not in read and key not in ("map", SYNC)]
     log = LogTables(folder, sync, tables, tuple(unused))
     for name in ("split", "log_name", "dataset"):
@@ -311,7 +316,7 @@ def read_map_objects(
 def find_map(log: LogTables, maps: Path | None) -> Path | None:
     """The map of a log: its own, else that of its place below ``maps``, else none."""
     own = log.folder / "map.arrow"
-    if own.is_file():
+    if own.exists() or own.is_symlink():
         return own
     place = f"{log.text('dataset')}_{log.text('location')}.arrow"
     shared = None if maps is None or not log.text("location") else maps / log.text("dataset") / place

@@ -48,6 +48,8 @@ _FARTHEST_M: Final = 3000.0
 """That an object of it reaches beyond that: masks of maps have a pixel for each 0.1 m."""
 _MARGIN_M: Final = 20.0
 _VISIBLE: Final = 4
+"""Fully visible, which is what readers take for nothing known."""
+_EGO_BEYOND_US, _EGO_GAP_US = 200_000, 1_500_000
 _UNITED_STATES: Final = ("av2", "wod", "nuplan", "pandaset")
 _NAMED_BY_COUNTRY: Final = ("us-", "sg-", "boston", "singapore", "las-vegas", "pittsburgh")
 
@@ -123,6 +125,7 @@ def build_log_scene(log: LogTables, maps: Path | None, *, images: bool) -> LogSc
     """
     times = log.times_us()
     body = EgoBody.of(log.others[EGO])
+    _require_ego(log, body, times)
     lenses, lacks = _read_lenses(log) if images else ({}, ["images, which were not asked for"])
     wanted = choose_key_frames(times)
     rows = {key: (log.others[key].times_us(), log.rows_of(key)) for key in lenses}
@@ -176,6 +179,18 @@ def build_log_scene(log: LogTables, maps: Path | None, *, images: bool) -> LogSc
         "redrawn": [camera.lens.name for camera in cameras if camera.lens.project is not None],
     }
     return LogScene(log, scene, body, cameras, by_m, by_us, facts)
+
+
+def _require_ego(log: LogTables, body: EgoBody, times_us: NDArray[np.int64]) -> None:
+    """Refuse a log whose frames begin or end far from its ego's track, or one with gaps: nothing is made up there."""
+    log.rows_of(EGO)
+    outside_us = max(body.times_us[0] - times_us[0], times_us[-1] - body.times_us[-1])
+    longest_us = np.diff(body.times_us).max(initial=0)
+    if outside_us > _EGO_BEYOND_US or longest_us > _EGO_GAP_US:
+        raise log.others[EGO].damaged(
+            f"frames lie up to {max(0, outside_us) * 1e-6:g} s before or behind the ego's track, or it has a gap of "
+            f"{longest_us * 1e-6:g} s"
+        )
 
 
 def _read_lenses(log: LogTables) -> tuple[dict[str, Lens], list[str]]:
@@ -276,6 +291,7 @@ def _read_objects(
     else:
         table = log.others[BOXES]
         boxes, rows = read_boxes(table), log.rows_of(BOXES)
+        table.times_us()
         categories = _name_categories(table, boxes, unlabelled)
     frame_of = {row: frame for frame, row in enumerate(rows.tolist()) if row >= 0}
     at = np.array([frame_of.get(row, -1) for row in boxes.row.tolist()], np.int64)
