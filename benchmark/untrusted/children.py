@@ -34,7 +34,8 @@ class ChildAnswer:
 def read_in_child(path: Path, kind: str, limits: Limits, *request: str) -> ChildAnswer:
     """Read an untrusted file as one of `benchmark.untrusted.child.KINDS` in a child process.
 
-    ``request`` is for readers of extensions. Raises `InputError` if the file cannot be opened or is too large, or the child exceeds its limits or dies.
+    ``request`` is for readers of extensions. Raises `InputError` if the file cannot be opened or is too large, or the
+    child exceeds its limits or dies.
     """
     with open_file(path, limits) as stream, tempfile.TemporaryFile() as answer:
         code = _run(path, kind, limits, request, stream.fileno(), answer.fileno())

@@ -187,7 +187,12 @@ def rectify(data: bytes, lens: Lens, where: str) -> bytes:
     return encode_jpeg(np.asarray(cv2.remap(image, pixels, None, cv2.INTER_LINEAR), np.uint8), _QUALITY)
 
 
-_SIDES: Final = (("ahead", 0.0, 25.0), ("to the left", 90.0, 45.0), ("back", 180.0, 25.0), ("to the right", -90.0, 45.0))
+_SIDES: Final = (
+    ("ahead", 0.0, 25.0),
+    ("to the left", 90.0, 45.0),
+    ("back", 180.0, 25.0),
+    ("to the right", -90.0, 45.0),
+)
 """Names of sides, their yaw, and how far from it a camera may look, degrees."""
 
 

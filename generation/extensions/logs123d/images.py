@@ -137,5 +137,3 @@ def _find_video(camera: LogCamera) -> Path:
     if not path.is_file():
         raise InputError(f"{path} is missing, which {camera.table.path} names images of; complete the log")
     return path
-
-

@@ -110,7 +110,7 @@ def _number(folders: Sequence[Path]) -> dict[str, SceneNumber]:
     """Names in the tables, for the devkit's readers of CAN bus and maps, of logs that are not called like scenes."""
     others = [path.name for path in folders if not is_devkit_name(path.name)]
     # Their times are known only once they are read, and need not move.
-    return number_scenes({name: (0, 0) for name in others}, {path.name for path in folders})
+    return number_scenes(dict.fromkeys(others, (0, 0)), {path.name for path in folders})
 
 
 def _import_one(

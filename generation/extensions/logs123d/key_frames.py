@@ -52,7 +52,7 @@ def pair_images(
         key_frames: (K,) of them that are to be samples.
         cameras: (R,) times of the rows and (F,) rows of the frames, -1 for none, by camera.
     """
-    missing = {name: 0 for name in cameras}
+    missing = dict.fromkeys(cameras, 0)
     chosen: dict[str, dict[int, int]] = {name: {} for name in cameras}
     for frame in key_frames.tolist():
         found = {name: _find_image(int(times_us[frame]), int(rows[frame]), at) for name, (at, rows) in cameras.items()}

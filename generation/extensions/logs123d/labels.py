@@ -79,7 +79,7 @@ def name_label(label_class: str, code: int, table: Table) -> tuple[str, str]:
 
 
 def find_category(label_class: str, name: str, kind: str, length_m: float) -> str | None:
-    """nuScenes' category of a label, vehicles without a type by length; ``None`` where nuScenes has none."""
+    """NuScenes' category of a label, vehicles without a type by length; ``None`` where nuScenes has none."""
     if label_class == NUSCENES:
         return _NUSCENES_NAMES[name]
     if kind in UNKNOWN_TO_NUSCENES:

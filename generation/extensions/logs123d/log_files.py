@@ -18,7 +18,15 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.extension import require_package
 from benchmark.untrusted.children import read_in_child
-from benchmark.untrusted.files import GIB, MAP_POINTS, MIB, RECORDED_OBJECTS, RECORDING_S, Limits, open_file, to_one_line
+from benchmark.untrusted.files import (
+    GIB,
+    MAP_POINTS,
+    MIB,
+    RECORDED_OBJECTS,
+    RECORDING_S,
+    Limits,
+    to_one_line,
+)
 
 NEEDS_A_PACKAGE: Final = (
     "reading 123D logs needs the package msgpack, which is not installed; install it with: "
@@ -367,5 +375,3 @@ def list_video_images(path: Path, frames: Sequence[int]) -> Iterator[bytes]:
         if len(images) != len(part):
             raise InputError(f"{path} has no frame {part[len(images)]}, which its log names; {_AGAIN}")
         yield from images
-
-

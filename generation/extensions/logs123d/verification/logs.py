@@ -44,9 +44,6 @@ def compare_logs(comparison: Comparison, golden: GoldenFolder) -> None:
         _compare_cameras(comparison, log, golden, expected)
 
 
-
-
-
 def find_folder(golden: GoldenFolder, title: str) -> Path:
     """Folder of a log of a set."""
     folder = golden.path / "logs" / title
@@ -131,9 +128,7 @@ def _compare_boxes(comparison: Comparison, log: LogTables, expected: Mapping[str
         close(comparison, "boxes: velocity", velocity, np.array([one for _, one in moving]).reshape(-1, 3))
 
 
-def _compare_cameras(
-    comparison: Comparison, log: LogTables, golden: GoldenFolder, expected: Mapping[str, Any]
-) -> None:
+def _compare_cameras(comparison: Comparison, log: LogTables, golden: GoldenFolder, expected: Mapping[str, Any]) -> None:
     source = build_log_scene(log, golden.path / "maps", images=True)
     images = LogImages.of(source, golden.path / "sensors" / "nuscenes")
     comparison.same("cameras: files", log.cameras, sorted(expected["cameras"]))

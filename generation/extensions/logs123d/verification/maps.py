@@ -58,7 +58,9 @@ def compare_maps(comparison: Comparison, golden: GoldenFolder) -> None:
             raise InputError(f"{golden.path} has no {name}, which {EXPECTED} names; get the set again")
         comparison.where = name
         metadata, objects = read_map_objects(path)
-        comparison.verdicts("map: metadata", [metadata.get(key) != value for key, value in expected["metadata"].items()])
+        comparison.verdicts(
+            "map: metadata", [metadata.get(key) != value for key, value in expected["metadata"].items()]
+        )
         layers = {layer: [one for one in objects if one.layer == place] for place, layer in enumerate(_LAYERS)}
         comparison.verdicts("map: layers", {layer for layer in layers if layers[layer]} != {*expected["layers"]})
         for layer, facts in expected["layers"].items():

@@ -97,7 +97,9 @@ def _compare_root(
     body = EgoBody.of(read_log(find_folder(golden, title)).others[EGO])
     lidar = tables.sensor_rows("LIDAR_TOP")
     comparison.same("root: frames", [row[0] for row in lidar], [frame["timestamp_us"] + later for frame in frames])
-    on_ground = compose(np.array([one["ego"]["rear_axle_se3"] for one in frames]), compose(invert(body.rear_axle), body.base))
+    on_ground = compose(
+        np.array([one["ego"]["rear_axle_se3"] for one in frames]), compose(invert(body.rear_axle), body.base)
+    )
     close_poses(comparison, "root: ego", np.array([row[3] for row in lidar]), shift(on_ground, moved))
     for key, camera in expected["cameras"].items():
         rows = tables.sensor_rows(camera["name"])
@@ -115,7 +117,9 @@ def _compare_root(
     if expected["map"] is not None:
         area = golden.facts(EXPECTED)["maps"][expected["map"]]
         # Of nuScenes the layer itself: surfaces of connectors, which the union holds, are py123d's own.
-        own = area["layers"].get("GENERIC_DRIVABLE", {}).get("area") if expected["log"]["dataset"] == "nuscenes" else None
+        own = (
+            area["layers"].get("GENERIC_DRIVABLE", {}).get("area") if expected["log"]["dataset"] == "nuscenes" else None
+        )
         ratio = tables.road_map().drivable_area.area / (own or area["drivable_union_area"])
         comparison.numbers("root: drivable area, relative", ratio, 1.0)
 
@@ -152,7 +156,7 @@ def _categorise(label_class: str, box: Mapping[str, Any]) -> str | None:
 
 
 def compare_source(comparison: Comparison, golden: GoldenFolder) -> None:
-    """nuScenes to 123D to here, against the tables that it was made of, where the set has them."""
+    """NuScenes to 123D to here, against the tables that it was made of, where the set has them."""
     archive = golden.path / "source" / "tables.tar.xz"
     title = next((name for name in golden.facts(EXPECTED)["logs"] if name.startswith("nuscenes_")), None)
     if title is None or not archive.is_file():

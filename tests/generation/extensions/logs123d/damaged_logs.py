@@ -92,7 +92,9 @@ def _numbers_replaced(path: Path, chance: Random) -> None:
         return
     place = chance.choice(fields)
     field = table.schema.field(place)
-    value = chance.choice((-1, 2**62, 10**6, 7) if not _is_real(field.type) else (float("nan"), float("inf"), 1e300, 0.0))
+    value = chance.choice(
+        (-1, 2**62, 10**6, 7) if not _is_real(field.type) else (float("nan"), float("inf"), 1e300, 0.0)
+    )
     values = [_replaced(row, value, chance) for row in table.column(place).to_pylist()]
     try:
         changed = pa.array(values, field.type)

@@ -114,7 +114,9 @@ class MadeLog:
         name, yaw = self.cameras[key]
         mount, lacking = self.mount(yaw), self.lacking.get(key, ())
         times = [time + CAMERA_DELAY_US for frame, time in enumerate(self.times) if frame not in lacking]
-        poses = [None if self.null_poses else list(compose(np.array(self.ego_pose(at)), np.array(mount))) for at in times]
+        poses = [
+            None if self.null_poses else list(compose(np.array(self.ego_pose(at)), np.array(mount))) for at in times
+        ]
         metadata = {
             "camera_model": "pinhole", "camera_name": name, "camera_id": 0, "intrinsics": [50.0, 50.0, 32.0, 24.0, 0.0],
             "distortion": None, "width": 64, "height": 48, "camera_to_imu_se3": mount, "is_undistorted": True,
@@ -140,9 +142,7 @@ def picture(row: int, width: int = 64, height: int = 48) -> bytes:
     return stream.getvalue()
 
 
-def write_arrow(
-    path: Path, columns: Mapping[str, Any], metadata: Any, *, rows_per_batch: int = 1000
-) -> None:
+def write_arrow(path: Path, columns: Mapping[str, Any], metadata: Any, *, rows_per_batch: int = 1000) -> None:
     """Write an Arrow file whose schema has metadata in MessagePack."""
     import msgpack
     import pyarrow as pa

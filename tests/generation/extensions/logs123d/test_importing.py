@@ -153,7 +153,9 @@ def test_a_missing_image_is_the_nearest_within_a_tenth_of_a_second_or_costs_the_
     times = sorted(row["timestamp"] - log.facts["later_us"] for row in rows(root, "sample"))
     assert times == [0, 5 * STEP_US, 15 * STEP_US]
     assert log.facts["key_frames_without_image"] == {"left": 1}
-    taken = [row["timestamp"] - log.facts["later_us"] for row in rows(root, "sample_data") if "/front/" in row["filename"]]
+    taken = [
+        row["timestamp"] - log.facts["later_us"] for row in rows(root, "sample_data") if "/front/" in row["filename"]
+    ]
     # The image of frame 4, 0.07 s before the key frame, is taken once.
     assert 4 * STEP_US + CAMERA_DELAY_US in taken and len(set(taken)) == len(taken) == 15
 
@@ -191,7 +193,12 @@ def test_one_worker_and_two_give_the_same_bytes_and_the_same_command_resumes(tmp
 
 def test_scenes_are_chosen_by_name_and_splits_are_the_logs_own(tmp_path: Path) -> None:
     first = MadeLog(frames=6, cameras={})
-    for made in (first, renamed(first, 2), replace(first, split="carla_val"), replace(first, split="carla_test", name="t")):
+    for made in (
+        first,
+        renamed(first, 2),
+        replace(first, split="carla_val"),
+        replace(first, split="carla_test", name="t"),
+    ):
         made.write(tmp_path)
     with pytest.raises(InputError, match="more than one log drive-1"):
         import_123d(tmp_path / "logs", tmp_path / "root")

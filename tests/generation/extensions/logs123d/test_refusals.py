@@ -76,7 +76,7 @@ def test_images_that_are_files_need_their_folder(tmp_path: Path) -> None:
     samples = sorted((tmp_path / "root" / "samples" / "front").iterdir())
     assert [path.read_bytes() for path in samples] == [picture(0), picture(5)]
     (tmp_path / "sensors" / "front" / "003.jpg").unlink()
-    with pytest.raises(InputError, match="003.jpg is missing"):
+    with pytest.raises(InputError, match=r"003\.jpg is missing"):
         import_123d(tmp_path / "logs", tmp_path / "other", settings)
 
 
@@ -101,7 +101,9 @@ def test_an_ego_that_ends_early_is_not_made_to_stand(tmp_path: Path) -> None:
 def test_without_msgpack_the_command_says_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     SMALL.write(tmp_path)
     found = __import__("importlib.util").util.find_spec
-    monkeypatch.setattr("importlib.util.find_spec", lambda name, *more: None if name == "msgpack" else found(name, *more))
+    monkeypatch.setattr(
+        "importlib.util.find_spec", lambda name, *more: None if name == "msgpack" else found(name, *more)
+    )
     done = run_main("data", "import", "123d", tmp_path / "logs", "--out", tmp_path / "root", "--workers", "1")
     assert done.code == 2 and "pip install 'challenger-bench[123d]'" in done.err and done.err.count("\n") == 1
 
