@@ -124,7 +124,7 @@ def _read_ftheta(table: Table, intrinsics: Any) -> tuple[Floats, Callable[[Rays]
 
     def project(rays: Rays) -> Floats:
         across = np.linalg.norm(rays[..., :2], axis=-1)
-        radius = np.polynomial.polynomial.polyval(np.arctan2(across, rays[..., 2]), forward)
+        radius = np.polyval(forward[::-1], np.arctan2(across, rays[..., 2]))
         scale = np.divide(radius, across, out=np.zeros_like(radius), where=across > 1e-12)
         return np.asarray(centre + scale[..., None] * rays[..., :2])
 
@@ -183,8 +183,9 @@ def rectify(data: bytes, lens: Lens, where: str) -> bytes:
     scale = np.array([width, height]) / lens.size
     across, down = np.meshgrid(np.arange(width) / scale[0], np.arange(height) / scale[1])
     rays = np.stack([across, down, np.ones_like(across)], axis=-1) @ np.linalg.inv(lens.matrix).T
-    pixels = (lens.project(rays) * scale).astype(np.float32)
-    return encode_jpeg(np.asarray(cv2.remap(image, pixels, None, cv2.INTER_LINEAR), np.uint8), _QUALITY)
+    at_x, at_y = np.moveaxis((lens.project(rays) * scale).astype(np.float32), -1, 0)
+    seen = cv2.remap(image, np.ascontiguousarray(at_x), np.ascontiguousarray(at_y), cv2.INTER_LINEAR)
+    return encode_jpeg(np.asarray(seen, np.uint8), _QUALITY)
 
 
 _SIDES: Final = (

@@ -28,7 +28,7 @@ def choose_key_frames(times_us: Numbers) -> Numbers:
     after = np.clip(np.searchsorted(times_us, steps), 1, len(times_us) - 1)
     nearest = np.where(steps - times_us[after - 1] <= times_us[after] - steps, after - 1, after)
     near = np.abs(times_us[nearest] - steps) <= 0.5 * interval_us
-    return np.unique(nearest[near])
+    return np.asarray(np.unique(nearest[near]), np.int64)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from shapely.geometry import MultiPolygon
 
 from benchmark.constants import OFFICIAL_LOCATIONS
 from benchmark.datasets.annotated_objects import find_nearest_valid
+from benchmark.datasets.scenarionet_map import move_map
 from benchmark.datasets.sensors import make_standard_lidar
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, quaternion_from_yaw, rotation_matrix, yaw_of_quaternion
@@ -35,7 +36,7 @@ from generation.extensions.logs123d.log_files import (
     to_pose,
 )
 from generation.extensions.logs123d.poses import IDENTITY, compose, interpolate, invert, shift, to_track
-from generation.extensions.logs123d.road_maps import ReadMap, build_road_map, find_extent, move_map
+from generation.extensions.logs123d.road_maps import ReadMap, build_road_map, find_extent
 
 NUSCENES: Final = "nuscenes"
 _FIRST_US, _LAST_US = 946_684_800_000_000, 4_102_444_800_000_000

@@ -1,7 +1,7 @@
 """Maps of 123D as a `RoadMap`: surfaces with their holes, lanes that are driven, lines that part directions."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -164,8 +164,8 @@ class _ObjectReader:
             group = groups.get(self.number(found, "lane_group_id"))
             is_connector = group is not None and self.is_inside(group)
             surface = None if self.only_drivable and is_connector else surfaces.get(name)
-            links = [self.links(found, which) for which in ("successor_ids", "predecessor_ids")]
-            lanes[name] = Lane(name, centerline, surface, *links, is_connector)
+            after, before = self.links(found, "successor_ids"), self.links(found, "predecessor_ids")
+            lanes[name] = Lane(name, centerline, surface, after, before, is_connector)
         return lanes
 
     def dividers(self) -> tuple[Divider, ...]:
@@ -206,28 +206,6 @@ def _pick(value: Any, of: Sequence[Any]) -> int:
 
 def _mend(shape: shapely.Geometry) -> MultiPolygon:
     return as_multipolygon(shape if shape.is_valid else shapely.make_valid(shape))
-
-
-def move_map(road_map: RoadMap, by_m: Floats) -> RoadMap:
-    """The same map with its origin moved by (2,) metres, on a canvas that holds it."""
-
-    def moved(shape: Any) -> Any:
-        return None if shape is None else shapely.transform(shape, lambda points: points + by_m)
-
-    surfaces: Mapping[str, Mapping[str, Polygon]] = {
-        layer: {name: moved(shape) for name, shape in getattr(road_map, layer).items()}
-        for layer in ("ped_crossings", "walkways", "road_segments", "stop_lines", "carparks")
-    }
-    return replace(
-        road_map,
-        drivable_area=moved(road_map.drivable_area),
-        lanes={
-            name: replace(lane, centerline=lane.centerline + by_m, polygon=moved(lane.polygon))
-            for name, lane in road_map.lanes.items()
-        },
-        dividers=tuple(replace(one, line=one.line + by_m) for one in road_map.dividers),
-        **surfaces,
-    )
 
 
 def find_extent(road_map: RoadMap) -> Floats:

@@ -1,7 +1,7 @@
 """Small 123D logs, written as py123d 0.7 writes them: a car that drives east on a two-way road, seen by two cameras."""
 
 import io
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -147,7 +147,7 @@ def write_arrow(path: Path, columns: Mapping[str, Any], metadata: Any, *, rows_p
     import msgpack
     import pyarrow as pa
 
-    kinds = {
+    kinds: dict[str, Callable[[int], Any]] = {
         "fixed": lambda width: pa.list_(pa.float64(), width),
         "lists": lambda width: pa.list_(pa.list_(pa.float64(), width)),
         "labels": lambda _: pa.list_(pa.uint16()),

@@ -55,12 +55,12 @@ RAY = np.array([0.35, -0.2, 1.0])
 def ftheta_pixel() -> Floats:
     theta = np.arctan2(np.hypot(*RAY[:2]), RAY[2])
     radius = 180.0 * theta - 10.0 * theta**3
-    return np.array([200.0, 150.0]) + radius * RAY[:2] / np.hypot(*RAY[:2])
+    return np.asarray(np.array([200.0, 150.0]) + radius * RAY[:2] / np.hypot(*RAY[:2]))
 
 
 def mei_pixel() -> Floats:
     sphere = RAY / np.linalg.norm(RAY)
-    return 500.0 * sphere[:2] / (sphere[2] + 2.0) + np.array([200.0, 150.0])
+    return np.asarray(500.0 * sphere[:2] / (sphere[2] + 2.0) + np.array([200.0, 150.0]))
 
 
 def distorted_pixel() -> Floats:
