@@ -158,8 +158,10 @@ def _write_root(
 ) -> None:
     _place_files(root, members)
     logs, maps = write_maps(plan, root, vocabulary, members)
+    files = (Path(path).parts for fragment in members for path in fragment["files"])
+    channels = {parts[1] for parts in files if parts[0] == "samples"}
     shared: dict[str, list[Row]] = {
-        "sensor": build_sensor_rows(name for fragment in members for name in fragment.get("channels", ())),
+        "sensor": build_sensor_rows(channels),
         "category": _merge_labels(vocabulary.category, members, "category"),
         "attribute": _merge_labels(vocabulary.attribute, members, "attribute"),
         "visibility": list(vocabulary.visibility),

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.constants import CAMERA_NAMES, LIDAR_NAME
+from benchmark.constants import LIDAR_NAME
 from benchmark.errors import InputError
 from benchmark.machine.progress import CountedUnits, track_progress
 from benchmark.machine.storage import (
@@ -133,7 +133,6 @@ def write_scene_if_missing(
         "files": {path: (root / path).stat().st_size for path in sorted([*sensor_files, *messages])},
         "renderer": _build_renderer_row(plan, cameras),
         **({UNDRAWN: True} if plan.pictures == "keyframes" else {}),
-        **({"channels": others} if (others := [one.name for one in cameras if one.name not in CAMERA_NAMES]) else {}),
         **({NUMBER: asdict(number)} if number is not None else {}),
         "tables": {table: ",\n".join(map(canonical_json, rows)) for table, rows in tables.items()},
     }
