@@ -7,7 +7,6 @@ of it is looked at; what lengths and offsets claim costs no more than the child 
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
@@ -311,8 +310,3 @@ def _read_features(packed: bytes) -> dict[str, Any]:
     if not isinstance(features, dict):
         raise ValueError("features of an object that are no map")
     return features
-
-
-def limits_for_video(limits: Limits) -> Limits:
-    """Limits of a video: decoding costs more time than reading."""
-    return replace(limits, cpu_s=120, clock_s=300.0)
