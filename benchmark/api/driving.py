@@ -81,8 +81,9 @@ def drive_settings(
             with that of a scenario file of NeuroNCAP (``FILE.yaml``).
         target: Of recorded scenes in NeuroNCAP's engine: whose velocity the reference speed of the score is relative
             to, that of the scene's ``adversary``, or ``none``, as NeuroNCAP has it without a scenario.
-        until: What ends a drive before its time: ``contact``, any; ``fault``, one that is the ego's fault, and another
-            object that touches it otherwise is gone from the next planning instant on. NeuroNCAP's engine ends at any.
+        until: What ends a drive before its time: ``contact``, any; ``fault``, one that is the ego's fault by our rule
+            (docs/fault.md), ``fault@nuplan`` by nuPlan's, and another object that touches it otherwise is gone from the
+            next planning instant on. NeuroNCAP's engine ends at any.
         runs: Runs of each scene; one where nothing is drawn.
         scenes: Only these scenes.
         limit: Only the first so many.

@@ -92,8 +92,11 @@ class DriveOptions:
     ] = "motion"
     latency: Annotated[int, Option("Delay before a plan takes effect, ms.", "Search", min=0)] = 0
     until: Annotated[
-        Literal["contact", "fault"],
-        Option("What ends a drive: any contact, or one that is the ego's fault (others who touch it go).", "Search"),
+        Literal["contact", "fault", "fault@nuplan"],
+        Option(
+            "What ends a drive: any contact, or one that is the ego's fault by fault@1 or nuPlan's rule (others go).",
+            "Search",
+        ),
     ] = "contact"
     runs: Annotated[int, Option("Runs of each scene; one where nothing is drawn.", "Search", min=1)] = 1
     workers: shared.Workers = 0

@@ -7,6 +7,8 @@ plan and result files, devices, addresses of servers, a file of categories.
 from collections.abc import Mapping
 from typing import Any
 
+from benchmark.records.fault import FAULT, NUPLAN_FAULT
+
 _GIB = float(1 << 30)
 
 
@@ -50,7 +52,8 @@ def read_drive_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
         "latency": measured.get("latency_ms"),
         "scenarios": scenario_facts.get("file", measured.get("scenarios")),
         "target": scenario_facts.get("target"),
-        "until": measured.get("until"),
+        # Older records call nuPlan's rule "fault".
+        "until": {"fault": NUPLAN_FAULT, FAULT: "fault"}.get(measured.get("until"), measured.get("until")),
         "runs": members.get("runs"),
         "timeout": config.get("timeout_s"),
         **({f"adversary_{name}": facts.get(fact_name) for name, fact_name in adversary.items()} if searched else {}),

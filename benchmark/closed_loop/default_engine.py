@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from benchmark.closed_loop.adversary import ADVERSARY, AdversarialPolicy, AdversaryFactory, AdversaryTrack
 from benchmark.closed_loop.agent_policy import AgentPolicy
+from benchmark.closed_loop.fault_attribution import EpisodeFaultAttribution
 from benchmark.closed_loop.idm_policy import IdmPolicy
 from benchmark.closed_loop.plan_tracking import INSTANTS, SUBSTEP_US, Ego
-from benchmark.closed_loop.scoring import EpisodeFaultAttribution
 from benchmark.closed_loop.simulation_config import build_log_replay, build_simulation_config, read_recorded_ego
 from benchmark.closed_loop.simulation_state import (
     CollisionEvent,
@@ -122,7 +122,8 @@ class DefaultBackend:
         course = self.course(scene, run)
         first = int(scene.keyframes[0])
         motion, primed = build_recorded_motion(scene, first, first), self._span(scene)[0] + 1
-        return DefaultSimulationState(scene, course, begin_simulation(course), motion, primed)
+        blames = None if self.until == "contact" else EpisodeFaultAttribution(scene, self.until)
+        return DefaultSimulationState(scene, course, begin_simulation(course), motion, primed, blames)
 
     def course(self, scene: Scene, run: int) -> SimulationConfig:
         """The course of a run; raises `InputError` as `begin_simulation` does."""
@@ -139,7 +140,6 @@ class DefaultBackend:
             duration_s=(over_us - start_us) * 1e-6,
             seed=run,
             latency_us=self.latency_us,
-            blamed=EpisodeFaultAttribution(scene) if self.until == "fault" else None,
         )
 
     def _span(self, scene: Scene) -> tuple[int, int]:
@@ -168,7 +168,8 @@ class DefaultBackend:
 class DefaultSimulationState:
     """Ride of the default engine; ``world`` is that where driving starts, then now, ``motion`` everything so far.
 
-    ``primed`` are planning instants at which the ego is the recorded one.
+    ``primed`` are planning instants at which the ego is the recorded one. ``blames`` says if a contact is the ego's
+    fault, which only then ends the ride.
     """
 
     scene: Scene
@@ -176,6 +177,7 @@ class DefaultSimulationState:
     world: WorldState
     motion: EpisodeMotion
     primed: int = PRIMING_STEPS + 1
+    blames: EpisodeFaultAttribution | None = None
 
     @property
     def start(self) -> int:
@@ -234,6 +236,17 @@ class DefaultSimulationState:
         assert world.trace is not None
         return replace(self, world=world, motion=self.motion.then(self._trace_motion(self.world.time_us, world.trace)))
 
+    def remember_past(self) -> SimulationConfig:
+        """The course of the next step: who is to blame for a contact depends on all that went before."""
+        blames = self.blames
+        if blames is None:
+            return self.course
+
+        def blamed(contact: CollisionEvent, trace: StepTrace) -> bool:
+            return blames(contact, self.motion.then(self._trace_motion(self.world.time_us, trace)))
+
+        return replace(self.course, blamed=blamed)
+
     def finished(self) -> "DefaultSimulationState":
         """The same: every instant has been checked."""
         return self
@@ -276,7 +289,8 @@ def _advance_together(
         except UndrivableWaypointsError as error:
             later[place] = RejectedPlanError(str(error))
     moving = [rides[place] for place in driving]
-    worlds = step_together([ride.course for ride in moving], [ride.world for ride in moving], [*driving.values()])
+    courses = [ride.remember_past() for ride in moving]
+    worlds = step_together(courses, [ride.world for ride in moving], [*driving.values()])
     later |= {place: ride.with_world(world) for place, ride, world in zip(driving, moving, worlds, strict=True)}
     return [later[place] for place in range(len(rides))]
 

@@ -184,9 +184,8 @@ def _find_contacts(
     hits = _find_overlaps(own, trace.boxes, trace.present & ~world.ignored)
     passed: list[CollisionEvent] = []
     while hits.any():
-        row, contact = _find_first_contact(course, world, trace, own, velocities, hits)
-        end_of_substep = -(-(row + 1) // INSTANTS) * INSTANTS
-        if course.blamed is None or course.blamed(contact, trace.egos[end_of_substep]):
+        contact = _find_first_contact(course, world, trace, own, velocities, hits)
+        if course.blamed is None or course.blamed(contact, trace):
             return contact, passed
         passed.append(contact)
         hits[:, contact.agent] = False
@@ -200,10 +199,10 @@ def _find_first_contact(
     own: Floats,
     velocities: Sequence[Floats],
     hits: Bools,
-) -> tuple[int, CollisionEvent]:
-    """The first instant at which an agent overlaps the ego, and that touch; of several, the first of the list."""
+) -> CollisionEvent:
+    """The first touch of an agent; of several at an instant, the first of the list."""
     row, agent = (int(index) for index in np.argwhere(hits)[0])
-    return row, CollisionEvent(
+    return CollisionEvent(
         agent=agent,
         uuid=course.ids[agent],
         category=course.categories[agent],

@@ -14,6 +14,7 @@ import numpy as np
 
 from benchmark.metrics.effect import AT_3_S, attributes_contacts, collect_sample_contacts, knows_contact_partners
 from benchmark.records.drives import DriveRecord
+from benchmark.records.fault import StoredFault, blames_ego
 from benchmark.records.rows import SampleRows, find_raised_line
 from benchmark.records.run import RunRecord
 
@@ -35,8 +36,9 @@ class Failure:
         hit: Instance that is touched; ``None``, like ``contact_s``, where an old record does not say it.
         category: Its category; ``None`` where the record does not say it and no data set was given.
         adversary: Whether it is an adversary; ``None`` where the record does not say that.
-        at_fault: Whether it is the planner's fault; ``None`` where that is not known.
+        at_fault: Whether it is the planner's fault (``fault@1``); ``None`` where the record does not say it.
         delta_v_m_s: Change of the ego's velocity; ``None`` where the record does not say it.
+        fault: Whose fault it is, and why; likewise.
     """
 
     scene: str
@@ -49,6 +51,7 @@ class Failure:
     adversary: bool | None
     at_fault: bool | None
     delta_v_m_s: float | None
+    fault: StoredFault | None = None
 
     @property
     def order(self) -> tuple[bool, int, float, str, int]:
@@ -151,8 +154,9 @@ def _find_in_samples(record: RunRecord) -> Failures:
                 None if hit is None else hit[0],
                 None,
                 bool(contacts.adversary[row, AT_3_S]) if says_whom else None,
-                None if severity is None else severity.at_fault,
+                None if severity is None else blames_ego(severity.fault),
                 None if severity is None else severity.delta_v_ego_m_s,
+                None if severity is None else severity.fault,
             )
         )
     crashes = [
@@ -191,8 +195,9 @@ def _find_in_drives(record: DriveRecord) -> Failures:
                     contact.agent,
                     contact.category,
                     contact.adversary,
-                    contact.at_fault,
+                    blames_ego(contact.fault),
                     contact.delta_v_ego,
+                    contact.fault,
                 )
             )
     return _collect(record, failures, crashes, counted)

@@ -8,6 +8,7 @@ from pydantic import ConfigDict, Field, SerializerFunctionWrapHandler, model_ser
 from benchmark.machine.storage import content_key
 from benchmark.metrics.rates import Rate
 from benchmark.records.encounter_window import EncounterWindow, WindowName
+from benchmark.records.fault import NUPLAN_FAULT, FaultVerdict, StoredFault, blames_ego
 from benchmark.records.run_schema import Name, RecordFacts, Version
 from benchmark.records.scene_assessment import KindName, NotNegative
 from benchmark.records.stored import Stored
@@ -16,8 +17,9 @@ SCHEMA: Final = 1
 """Version of the format of records of drives; raised whenever a field changes."""
 MOST_RUNS: Final = 10_000
 REASONS: Final = ("raised", "no plan", "unusable plan", "timeout", "died")
-StopCondition = Literal["contact", "fault"]
-"""Event that ends a drive early: any contact, or one that is the ego's fault."""
+StopCondition = Literal["contact", "fault@1", "fault@nuplan", "fault"]
+"""Event that ends a drive early: any contact, or one that is the ego's fault, by our rule or by nuPlan's, which older
+records call ``fault``."""
 ScenariosName = Literal["recorded", "own", "official", "file"]
 """Scenarios of NeuroNCAP's engine: none, ours, NeuroNCAP's own, or one of a file."""
 SCENARIOS: Final[tuple[ScenariosName, ...]] = get_args(ScenariosName)
@@ -72,9 +74,17 @@ class ClosedLoopDefinition(Stored):
         late = f", latency {self.latency_ms} ms" if self.latency_ms else ""
         of = f"{' of' if self.window == 'encounter' else ', as'} {self.windows_of['split']}" if self.windows_of else ""
         window = f"{', window encounter' if self.window == 'encounter' else ''}{of}"
-        return (
-            f"{self.engine}{self._scenarios}{agents}{late}{window}{'' if self.until == 'contact' else ', until fault'}"
-        )
+        return f"{self.engine}{self._scenarios}{agents}{late}{window}{f', until {self.rule}' if self.rule else ''}"
+
+    @property
+    def until_words(self) -> list[str]:
+        """What names of files and tables say of `rule`; none where there is none."""
+        return [f"until-{self.rule.replace('@', '-')}"] if self.rule else []
+
+    @property
+    def rule(self) -> str | None:
+        """Rule of fault by which a contact ends a drive; ``None`` where any contact does."""
+        return None if self.until == "contact" else NUPLAN_FAULT if self.until == "fault" else self.until
 
     @property
     def _scenarios(self) -> str:
@@ -142,8 +152,9 @@ class ScoredContact:
     Attributes:
         category: Of the other.
         kind: Kind of contact, as nuPlan classifies it.
-        at_fault: Whether it is the ego's fault.
+        at_fault: Whether it is the ego's fault by nuPlan's rule.
         delta_v_other: Change of velocity of the other.
+        fault: Whose fault it is by ``fault@1``; null in older records.
     """
 
     seconds: float
@@ -155,6 +166,7 @@ class ScoredContact:
     impact_speed: NotNegative
     delta_v_ego: NotNegative
     delta_v_other: NotNegative
+    fault: StoredFault | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,7 +289,7 @@ class LadderOutcome:
     """Outcome of a reference driver in the same encounter; it survives if it touches nothing.
 
     ``seconds`` is from the start of the drive to its first contact, ``agent`` the touched instance, and ``at_fault`` by
-    nuPlan's rules, as if the driver kept to one lane.
+    nuPlan's rule, as if the driver kept to one lane.
 
     Attributes:
         survives: Whether it touches nothing.
@@ -313,7 +325,8 @@ class EpisodeRow(Stored):
         failure: Why the planner failed.
         adversary: Track of an adversary that answers; not written where there was none.
         ladder: Outcomes of reference drivers, by driver; not written where none drove.
-        passed: Contacts before `contact` that did not end it, none of them the ego's fault; not written if none.
+        passed: Contacts before `contact` that did not end it, none the ego's fault by the rule that ends the drive; not
+            written if none.
         unlabelled: Whether annotations are missing, or in a part of the scene: the drive says nothing of contacts then.
             Not written where it is labelled throughout.
         window: Part of the scene that was driven around an encounter; not written of drives without one.
@@ -349,6 +362,26 @@ class EpisodeRow(Stored):
         return self.passed[0] if self.passed else self.contact
 
     @property
+    def touches(self) -> tuple[ScoredContact, ...]:
+        """All contacts."""
+        return (*self.passed, *(() if self.contact is None else (self.contact,)))
+
+    @property
+    def says_fault(self) -> bool:
+        """Whether it says of all its contacts whose fault they are; older records do not."""
+        return all(touch.fault is not None for touch in self.touches)
+
+    @property
+    def fault(self) -> FaultVerdict | None:
+        """Whose fault its contacts are by ``fault@1``: the ego's if any is, else shared or unclear if any is.
+
+        ``None`` without a contact.
+        """
+        verdicts = {touch.fault.verdict for touch in self.touches if touch.fault is not None}
+        order = (FaultVerdict.EGO, FaultVerdict.SHARED, FaultVerdict.UNCLEAR, FaultVerdict.OTHER)
+        return next((verdict for verdict in order if verdict in verdicts), None)
+
+    @property
     def fair(self) -> bool | None:
         """Whether a careful human survives the same encounter; ``None`` where that was not asked."""
         return None if self.ladder is None or CAREFUL not in self.ladder else self.ladder[CAREFUL].survives
@@ -364,7 +397,7 @@ class EpisodeRow(Stored):
             raise ValueError("a failed drive needs a reason and no scores, any other drive needs scores")
         if (self.contact is not None) != (self.end == "contact"):
             raise ValueError("a drive needs a contact exactly if a contact ended it")
-        if any(collision.at_fault for collision in self.passed):
+        if any(touch.at_fault and blames_ego(touch.fault) is not False for touch in self.passed):
             raise ValueError("a contact that is the ego's fault ends a drive")
         if len(self.ticks.time_us) != len(self.ticks.ego):
             raise ValueError("every planning instant needs a time and a state")

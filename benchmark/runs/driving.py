@@ -321,7 +321,7 @@ def drives_directory(
     parts += [f"{measured.latency_ms}ms"] if measured.latency_ms else []
     parts += [] if measured.window == "scene" else [measured.window]
     parts += ["as", *measured.windows_of.values()] if measured.windows_of else []
-    parts += ["until-fault"] if measured.until == "fault" else []
+    parts += measured.until_words
     parts += [
         content_key(facts)[:8]
         for facts in (measured.agents_facts, measured.sensor_facts, measured.scenario_facts)

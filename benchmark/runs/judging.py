@@ -214,10 +214,11 @@ def _find_disagreements(samples: PlannedSamples) -> Sequence[Any]:
 
 def _measure_severity(samples: PlannedSamples) -> Sequence[Any]:
     recorded = samples.scene.recorded
-    # With a map without roads or lanes the ego would be at fault in every lateral contact.
+    # With a map without roads or lanes the ego would be at fault in every lateral contact by nuPlan's rule.
     known = recorded is not None and recorded.road.drivable and recorded.road.lanes
     road = recorded.road if recorded is not None and known else None
-    return measure_plan_severities([truth.by_clock for truth in samples.truths], samples.in_lidar, road)
+    truths = [truth.by_clock for truth in samples.truths]
+    return measure_plan_severities(truths, samples.in_lidar, road, samples.scene.scene(samples.scene.name))
 
 
 def _judge_longer(samples: PlannedSamples) -> Sequence[Any]:

@@ -13,7 +13,7 @@ from benchmark.closed_loop.scoring import score_episode
 from benchmark.closed_loop.simulation_state import RecordedCan, SimulatorBackend
 from benchmark.errors import InputError
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
-from benchmark.records.drive_schema import AdversaryRow, EpisodeRow
+from benchmark.records.drive_schema import AdversaryRow, EpisodeRow, ScoredContact
 from benchmark.runs.drive_rows import DECIMALS, build_episode_row, decode_adversary_track, encode_adversary_track
 from benchmark.scene import Scene
 
@@ -42,9 +42,14 @@ def redrive_and_score(maker: SimulatorBackend, scene: Scene, data: "DataSet", ro
         stage, episode, None if episode.failure is not None else score_episode(scene, episode)
     )
     rescored_row = rescored_row.model_copy(update={"ladder": row.ladder})
-    if (rescored_row.ticks, rescored_row.contact, rescored_row.passed) != (row.ticks, row.contact, row.passed):
+    if (rescored_row.ticks, _without_fault(rescored_row)) != (row.ticks, _without_fault(row)):
         raise InputError(_format_mismatch(row))
     return rescored_row
+
+
+def _without_fault(row: EpisodeRow) -> list[ScoredContact]:
+    """Contacts as they happened: whose fault they are is scored anew."""
+    return [replace(touch, fault=None) for touch in row.touches]
 
 
 def _make_episode_spec(

@@ -26,7 +26,8 @@ from leaderboard.frame.specification import (
 
 _NOTE: Final = (
     "Adversary: samples whose plan touches the adversary before anything else within 3 s (avg: mean of 1, 2 and 3 s); "
-    "at fault: those that are the planner's fault. Any: contact with anything within 3 s, on the adversarial scenes "
+    "at fault: those that are the planner's fault by fault@1 (docs/fault.md); shared, unclear: those that are both "
+    "users', and of which the map does not tell. Any: contact with anything within 3 s, on the adversarial scenes "
     "and on the same recordings unchanged, sample by sample. Difference in percentage points, with 95 % interval over "
     "recordings. Each recording has the same weight, with any number of variants (docs/metrics.md)."
 )
@@ -44,6 +45,7 @@ _COLUMNS: Final = [
     *group_columns(
         f"touches the adversary first, in %, {EXACT}",
         number_columns("adversary avg", "adversary 3s", "at fault avg", "at fault 3s", digits=1),
+        number_columns("shared 3s", "unclear 3s", digits=1),
     ),
     *group_columns(
         f"paired with the unchanged recordings, {EXACT}",
@@ -109,6 +111,9 @@ def _values(effect: AdversaryEffect | None) -> Values:
         f"{head} {horizon}": percent(None if rates is None else rates[place], effect.samples)
         for head, rates in (("adversary", effect.touched), ("at fault", effect.at_fault))
         for horizon, place in (("avg", AT_3_S + 1), ("3s", AT_3_S))
+    } | {
+        f"{head} 3s": percent(None if rates is None else rates[AT_3_S], effect.samples)
+        for head, rates in (("shared", effect.shared_fault), ("unclear", effect.unclear_fault))
     }
     if paired is None or unchanged is None:
         return touched
@@ -148,6 +153,11 @@ def _list_missing(runs: Sequence[RunRecord], effects: Sequence[AdversaryEffect])
     for effect in effects:
         record, paired = effect.record, effect.paired
         split = record.run.split
+        if effect.unknown_fault:
+            notes[
+                f"{split}: older records do not say whose fault contacts are by fault@1; challenger-bench rescore with the "
+                "data set adds it."
+            ] = None
         if paired is None:
             notes[
                 f"{split}: not run by the same planner on the unchanged recordings: {_name_planners(effects, split)}; "
