@@ -93,7 +93,6 @@ class RoadMap:
         road_blocks: Road surfaces of one driving direction (nuScenes ``road_block``).
         canvas_m: Width and height of the whole map.
         stop_line_types: nuScenes' ``stop_line_type`` of stop lines that have one, by identifier.
-        driving_side: As somebody said; ``None``: it has to be found (`benchmark.fairness.fault_roads`).
     """
 
     location: str
@@ -109,7 +108,6 @@ class RoadMap:
     road_blocks: dict[str, Polygon] = field(default_factory=dict)
     canvas_m: tuple[float, float] = (0.0, 0.0)
     stop_line_types: dict[str, str] = field(default_factory=dict)
-    driving_side: Handedness | None = None
     _lane_bounds: list[Floats] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def lane_bounds(self) -> Floats:

@@ -76,7 +76,7 @@ class EpisodeFaultAttribution:
     def __call__(self, contact: CollisionEvent, motion: EpisodeMotion) -> bool:
         """Whether the ego is at fault; the motion goes on to the end of the step of the contact."""
         if self.until == "fault@1":
-            return blames_ego(attribute_contact(self.scene.road_map, trace_contact(motion, contact))) is True
+            return blames_ego(attribute_contact(self.scene, trace_contact(motion, contact))) is True
         kind = KINDS[int(contact.pair.kinds[0])]
         return is_at_fault(kind, kind is ContactKind.LATERAL and self._is_lane_ambiguous(contact, motion))
 

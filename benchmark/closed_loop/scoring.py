@@ -301,7 +301,7 @@ def score_episode(scene: Scene, drive: Episode) -> EpisodeScores:
     def scored_touch(touch: CollisionEvent) -> ScoredContact:
         at = min(int(np.searchsorted(part.times_us, touch.time_us)), len(unsure) - 1)
         start_us = int(part.times_us[0])
-        fault = attribute_contact(scene.road_map, trace_contact(drive.motion, touch))
+        fault = attribute_contact(scene, trace_contact(drive.motion, touch))
         return score_collision(scene, touch, start_us, unsure=bool(unsure[at]), adversaries=pursuers, fault=fault)
 
     contact = None if drive.touch is None else scored_touch(drive.touch)

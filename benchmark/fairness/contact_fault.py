@@ -12,27 +12,28 @@ from benchmark.interactions.tracks import STEP_S, ContinuousTracks
 from benchmark.machine.identity_cache import IdentityCache
 from benchmark.records.fault import StoredFault
 from benchmark.road_map import Handedness, RoadMap
+from benchmark.scene import Scene
 
 _DECIMALS: Final = 3
 _STEPS: Final = round(WINDOW_S / STEP_S)
 
 
-def _read_place(road_map: RoadMap) -> tuple[FaultRoads, Handedness]:
+def _read_place(road_map: RoadMap, driving_side: Handedness | None) -> tuple[FaultRoads, Handedness]:
     roads = FaultRoads.of(road_map)
-    return roads, find_handedness(road_map.location, roads, road_map.driving_side)
+    return roads, find_handedness(road_map.location, roads, driving_side)
 
 
 _load_place: Final = IdentityCache[RoadMap, tuple[FaultRoads, Handedness]](_read_place, kept=4)
 
 
-def judge_contact(road_map: RoadMap, tracks: ContactTracks) -> FaultAttribution:
-    """Whose fault a contact is on a map of a place, which may be empty; `attribute_fault` says what tracks are."""
-    return attribute_fault(tracks, *_load_place(road_map))
+def judge_contact(scene: Scene, tracks: ContactTracks) -> FaultAttribution:
+    """Whose fault a contact is on the map of a scene, which may be empty; `attribute_fault` says what tracks are."""
+    return attribute_fault(tracks, *_load_place(scene.road_map, scene.driving_side))
 
 
-def attribute_contact(road_map: RoadMap, tracks: ContactTracks) -> StoredFault:
+def attribute_contact(scene: Scene, tracks: ContactTracks) -> StoredFault:
     """`judge_contact` as records hold it: of who alone is to blame, when it came into the other's way."""
-    found = judge_contact(road_map, tracks)
+    found = judge_contact(scene, tracks)
     user = {FaultVerdict.EGO: found.ego, FaultVerdict.OTHER: found.other}.get(found.verdict)
     times = (None, None) if user is None else (user.entry_s, user.time_left_s)
     return StoredFault(

@@ -161,7 +161,7 @@ def _measure_contacts(
             fatal_probability=_rounded(compute_fatal_probability(changes[0][place])),
             agent=world.names[row],
             adversary=bool(world.adversary[row]),
-            fault=None if scene is None else attribute_contact(scene.road_map, tracks[place]),
+            fault=None if scene is None else attribute_contact(scene, tracks[place]),
         )
     return contact_rows
 

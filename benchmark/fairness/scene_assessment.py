@@ -222,7 +222,7 @@ class _SceneAssessor:
     def _measure_impact(self, agent: int, time: float) -> CollisionSeverity:
         contact = build_collision_at(self.tracks, agent, time)
         blamed = self.fault_attribution.at_fault(contact.kind, contact.ego)
-        fault = attribute_contact(self.scene.road_map, trace_recorded_contact(self.tracks, agent, time))
+        fault = attribute_contact(self.scene, trace_recorded_contact(self.tracks, agent, time))
         return compute_impact(contact, self.tracks.categories[agent], blamed, fault)
 
     def _faults(self, agent: int) -> StoredTrackDefects:

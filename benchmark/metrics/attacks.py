@@ -124,8 +124,8 @@ def collect_scene_attacks(record: RunRecord) -> dict[str, SceneAttack]:
         by_scene[row.scene].append(_to_attack(row, survivors[row.scene]))
         contact = None if row.severity is None else row.severity.contact
         bystanders[row.scene].append(contact is not None and not contact.adversary)
-        told = contact is not None and contact.adversary and contact.fault is not None
-        faults[row.scene].append(contact.fault.verdict if told else None)
+        fault = contact.fault if contact is not None and contact.adversary else None
+        faults[row.scene].append(None if fault is None else fault.verdict)
     columns = record.columns
     lost = np.flatnonzero(columns.failed & columns.flags("complete")).tolist()
     missing = {columns.values("scene")[place] for place in lost}

@@ -33,7 +33,8 @@ FEWEST_RANKED: Final = 3
 class SceneLoopComparison:
     """Open and closed loop of one planner on one scene made from the recording ``source``; shares are of drives.
 
-    ``open_fails`` if any sample collides in open loop; ``at_fault`` is ``None`` where a contact does not say it; ``first`` is the drive with a contact that has the lowest run.
+    ``open_fails`` if any sample collides in open loop; ``at_fault`` is ``None`` where a contact does not say whose it
+    is; ``first`` is the drive with a contact that has the lowest run.
     """
 
     scene: str

@@ -155,10 +155,6 @@ class Estimate:
     high: float | None
 
 
-NO_RATE: Final = Rate(None, 0.0, 0, None, None)
-"""Of nothing that is known."""
-
-
 @dataclass(frozen=True, slots=True)
 class SceneSums:
     """Sums of numerators and denominators, (N, C) each, of each of N sorted names that are drawn together."""

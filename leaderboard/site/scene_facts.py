@@ -31,8 +31,8 @@ _MICROSECONDS: Final = 1e6
 class SceneSeverity:
     """Severity of a planner's plans on one scene: `contacts` with an adversary (with anything without one) and others.
 
-    Verdicts are on the scene; `kind` to `fatal` and `fault`, whose it is in words, are of the most severe contact, `ttc`
-    and `gap` the least without one.
+    Verdicts are on the scene; `kind` to `fatal` and `fault`, in words, are of the most severe contact, `ttc` and `gap`
+    the least without one.
     """
 
     contacts: int

@@ -34,8 +34,13 @@ HEADS: Final[dict[Reading, str]] = {"contact": "contact", "at_fault": "at fault"
 READINGS_NOTE: Final = (
     "Contact: the plan touches the adversary before anything else within 3 s. At fault: that is the planner's fault, "
     "by who had priority and how much time was left (fault@1, docs/fault.md); shared, unclear: contacts that are both "
-    "users' fault, and those of which the map does not tell; neither is the planner's. Attributable: at fault, and the careful and competent human (UN R157) survives the scene. "
+    "users' fault, and those of which the map does not tell; neither is the planner's. Attributable: at fault, and the "
+    "careful and competent human (UN R157) survives the scene. "
     "Bystander: the plan touches a road user other than the adversary first; it counts in no rate."
+)
+UNKNOWN_FAULT: Final = (
+    "the record does not say whose fault its contacts are by fault@1; challenger-bench rescore with the data set adds "
+    "it."
 )
 _SHORT_NOTE: Final = (
     "Attributable: contact with the adversary, at fault, in a scene that a careful human driver (UN R157) survives; "
@@ -177,10 +182,7 @@ def _unknown_notes(rows: Sequence[RunRow[AttackRates]]) -> list[str]:
             ] = None
     for row in rows:
         if row.found.unknown_fault:
-            sentences[
-                f"{row.describe_run}: the record does not say whose fault its contacts are by fault@1; challenger-bench "
-                "rescore with the data set adds it."
-            ] = None
+            sentences[f"{row.describe_run}: {UNKNOWN_FAULT}"] = None
     return list(sentences)
 
 

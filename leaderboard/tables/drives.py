@@ -231,8 +231,8 @@ _BRIEF: Final = (
 _BRIEF_OF_WINDOWS: Final = ("with_adversary", "with_bystander")
 _NOTE_CONTACT: Final = (
     "Contact: with any object; at fault: by fault@1 (docs/fault.md); shared, unclear: contacts that are both users' "
-    "fault, and of which the map does not tell; at fault (nuPlan): by nuPlan's rule (docs/severity.md). Impact speed and delta-v: means "
-    "over contacts. Route: driven share of the recorded path. "
+    "fault, and of which the map does not tell; at fault (nuPlan): by nuPlan's rule (docs/severity.md). Impact "
+    "speed and delta-v: means over contacts. Route: driven share of the recorded path. "
 )
 _OTHERS_GO: Final = (
     "; others that touch the ego are removed from the next planning instant on. Impact speed and delta-v are of the "

@@ -23,6 +23,7 @@ from leaderboard.frame.specification import (
     tabulate,
     text_columns,
 )
+from leaderboard.tables.attacks import UNKNOWN_FAULT
 
 _NOTE: Final = (
     "Adversary: samples whose plan touches the adversary before anything else within 3 s (avg: mean of 1, 2 and 3 s); "
@@ -154,10 +155,7 @@ def _list_missing(runs: Sequence[RunRecord], effects: Sequence[AdversaryEffect])
         record, paired = effect.record, effect.paired
         split = record.run.split
         if effect.unknown_fault:
-            notes[
-                f"{split}: older records do not say whose fault contacts are by fault@1; challenger-bench rescore with the "
-                "data set adds it."
-            ] = None
+            notes[f"{record.planner} on {split}: {UNKNOWN_FAULT}"] = None
         if paired is None:
             notes[
                 f"{split}: not run by the same planner on the unchanged recordings: {_name_planners(effects, split)}; "

@@ -152,7 +152,7 @@ def _transfer_table(number: int, pairs: Sequence[tuple[DriveRecord, DriveRecord]
 
 
 def _find_failures(record: DriveRecord) -> set[tuple[str, int]] | None:
-    """Encounters with a contact at fault with the adversary; ``None`` where a contact does not say whose fault it is."""
+    """Encounters with a contact at fault with the adversary; ``None`` where one does not say whose fault it is."""
     if not all(row.says_fault for row in record.rows):
         return None
     return {

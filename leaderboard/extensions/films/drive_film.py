@@ -228,8 +228,9 @@ class DriveFilm:
         since = driven.seconds[frame] - driven.seconds[driven.begins]
         passed = [touch for touch in row.passed if since >= touch.seconds]
         lines = [
-            f"touched by {sanitise_name(touch.category)}, {describe_fault(touch)}; it is removed"
+            line
             for touch in passed[-1:]
+            for line in (f"touched by {sanitise_name(touch.category)}: it is removed", describe_fault(touch))
         ]
         if row.contact is not None and self._describe_state(frame)[1]:
             whom = f"{row.contact.category}{', the adversary' if row.contact.adversary else ''}"
