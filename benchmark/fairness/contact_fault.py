@@ -4,13 +4,13 @@ from typing import Final
 
 import numpy as np
 
-from benchmark.fairness.fault_definition import WINDOW_S, ContactTracks, FaultAttribution, FaultVerdict, RoadUser
+from benchmark.fairness.fault_definition import WINDOW_S, ContactTracks, FaultAttribution, RoadUser
 from benchmark.fairness.fault_roads import FaultRoads, find_handedness
-from benchmark.fairness.fault_rules import attribute_fault
+from benchmark.fairness.fault_rules import attribute_fault, rule_on_contact
 from benchmark.geometry import Floats
 from benchmark.interactions.tracks import STEP_S, ContinuousTracks
 from benchmark.machine.identity_cache import IdentityCache
-from benchmark.records.fault import StoredFault
+from benchmark.records.fault import UNTIMED_REASONS, StoredFault
 from benchmark.road_map import Handedness, RoadMap
 from benchmark.scene import Scene
 
@@ -33,12 +33,14 @@ def judge_contact(scene: Scene, tracks: ContactTracks) -> FaultAttribution:
 
 def attribute_contact(scene: Scene, tracks: ContactTracks) -> StoredFault:
     """`judge_contact` as records hold it: of who alone is to blame, when it came into the other's way."""
-    found = judge_contact(scene, tracks)
-    user = {FaultVerdict.EGO: found.ego, FaultVerdict.OTHER: found.other}.get(found.verdict)
-    times = (None, None) if user is None else (user.entry_s, user.time_left_s)
+    ruling, *users = rule_on_contact(tracks, *_load_place(scene.road_map, scene.driving_side))
+    times: tuple[float | None, float | None] = (None, None)
+    if len(ruling.blamed) == 1 and ruling.reason not in UNTIMED_REASONS:
+        facts = users[min(ruling.blamed)].facts()
+        times = facts.entry_s, facts.time_left_s
     return StoredFault(
-        verdict=found.verdict,
-        reason=found.reason,
+        verdict=ruling.verdict,
+        reason=ruling.reason,
         **{
             name: None if value is None or not np.isfinite(value) else round(value, _DECIMALS)
             for name, value in zip(("entry_s", "time_left_s"), times, strict=True)

@@ -6,14 +6,19 @@ from typing import Final
 import numpy as np
 
 from benchmark.fairness.contact_fault import make_contact_grid
-from benchmark.fairness.fault_definition import ContactTracks, RoadUser
+from benchmark.fairness.fault_definition import WINDOW_S, ContactTracks, RoadUser
 from benchmark.geometry import Bools, Floats, wrap_angle
 from benchmark.interactions.tracks import STEP_S
+from benchmark.machine.identity_cache import IdentityCache
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 
 _POSE: Final = (0, 1, 4)
 """Columns of a box."""
+_AS_RECORDED: Final = IdentityCache[Scene, Floats](lambda scene: scene.ego.boxes[:, _POSE], kept=2)
+"""(T, 3) poses of the box of a scene's ego."""
+_BEFORE_S: Final = 1.0
+"""Frames so long before the window are enough to interpolate from."""
 _NOW_S: Final = 1e-6
 """A frame so near to a sample is the sample's."""
 
@@ -47,16 +52,16 @@ def trace_plan_contact(
     ``ego_boxes`` (31, 5) follow the plan in the lidar frame, 0.1 s apart; they touch the other's at an instant.
     """
     now = (truth.timestamp_us - int(scene.timestamps_us[0])) * 1e-6
-    past = int(np.searchsorted(scene.seconds, now - _NOW_S))
+    seconds = scene.seconds
+    first, past = np.searchsorted(seconds, [now - WINDOW_S - _BEFORE_S, now - _NOW_S]).tolist()
     ahead = now + STEP_S * np.arange(instant + 1)
     absent = np.flatnonzero(~other.there[: instant + 1])
     came = int(absent[-1]) + 1 if len(absent) else 0
-    known = _recorded_poses(scene, other.name, past) if came == 0 else np.zeros((0, 3))
-    times = scene.seconds[past - len(known) : past], ahead[came:]
-    ego_times = np.concatenate([scene.seconds[:past], ahead])
-    other_times = np.concatenate(times)
+    known = _recorded_poses(scene, other.name, slice(first, past)) if came == 0 else np.zeros((0, 3))
+    ego_times = np.concatenate([seconds[first:past], ahead])
+    other_times = np.concatenate([seconds[past - len(known) : past], ahead[came:]])
     grid = make_contact_grid(float(ahead[-1]), float(other_times[0]))
-    ego = np.concatenate([scene.ego.boxes[:past, _POSE], _place(ego_boxes[: instant + 1], truth)])
+    ego = np.concatenate([_AS_RECORDED(scene)[first:past], _place(ego_boxes[: instant + 1], truth)])
     poses = np.concatenate([known, _place(other.boxes[came : instant + 1], truth)])
     return ContactTracks(
         grid,
@@ -65,13 +70,13 @@ def trace_plan_contact(
     )
 
 
-def _recorded_poses(scene: Scene, name: str, past: int) -> Floats:
-    """(P, 3) of an agent in the unbroken run of frames before a sample; none of an unknown one."""
+def _recorded_poses(scene: Scene, name: str, frames: slice) -> Floats:
+    """(P, 3) of an agent in the unbroken run of frames at the end of some; none of an unknown one."""
     if name not in scene.agents.ids:
         return np.zeros((0, 3))
     agents, number = scene.agents, scene.agents.ids.index(name)
-    absent = np.flatnonzero(~agents.valid[number, :past])
-    rows = slice(int(absent[-1]) + 1 if len(absent) else 0, past)
+    absent = np.flatnonzero(~agents.valid[number, frames])
+    rows = slice(frames.start + (int(absent[-1]) + 1 if len(absent) else 0), frames.stop)
     return np.column_stack([agents.position[number, rows, :2], agents.yaw[number, rows]])
 
 

@@ -50,6 +50,15 @@ class FaultReason(StrEnum):
     NO_RULE = "no-rule"
 
 
+UNTIMED_REASONS: Final = frozenset(
+    {
+        *(FaultReason.OBJECT, FaultReason.STANDING, FaultReason.REVERSING, FaultReason.CROSSING_PERSON),
+        *(FaultReason.WALKWAY_PERSON, FaultReason.ROAD_PERSON, FaultReason.OFF_ROAD, FaultReason.REAR_END),
+    }
+)
+"""Reasons of which nobody asks when they began."""
+
+
 class StoredFault(Stored):
     """Whose fault a contact is, by ``fault@1``.
 
@@ -57,7 +66,7 @@ class StoredFault(Stored):
         verdict: Whose.
         reason: What decided it.
         entry_s: How long before the contact the one to blame came into the other's way; null where it always was there,
-            and where not one of the two is to blame.
+            where not one of the two is to blame, and of `UNTIMED_REASONS`.
         time_left_s: Time that the other had then; null where that is without end, and likewise.
     """
 

@@ -35,10 +35,6 @@ _ACTS: Final[Mapping[FaultReason, str]] = {
     FaultReason.OVERTAKING: "overtook too near",
 }
 """What somebody did; all else is said of nobody."""
-_WITHOUT_TIME: Final = (
-    *(FaultReason.OBJECT, FaultReason.STANDING, FaultReason.REVERSING, FaultReason.CROSSING_PERSON),
-    *(FaultReason.WALKWAY_PERSON, FaultReason.ROAD_PERSON, FaultReason.OFF_ROAD, FaultReason.REAR_END),
-)
 _UNCLEAR: Final[Mapping[FaultReason, str]] = {
     FaultReason.STANDING: "neither moved",
     FaultReason.CROSSING: "the map does not say who had priority",
@@ -70,8 +66,6 @@ def spell_reason(reason: FaultReason) -> str:
 
 
 def _describe_time(fault: StoredFault) -> str:
-    if fault.reason in _WITHOUT_TIME:
-        return ""
     if fault.time_left_s:
         return f" {fault.time_left_s:.1f} s before the other arrived"
     return "" if fault.entry_s is None else f" {fault.entry_s:.1f} s before the contact"
