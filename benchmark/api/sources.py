@@ -52,7 +52,7 @@ class DataSource:
     """A data set (``mini``, ``demo`` or a root) that is checked at once and opened, or built, when it is needed.
 
     ``workers`` processes build what is absent, 0 takes all processors. ``categories`` says what those mean that are not
-    nuScenes'.
+    nuScenes', ``driving_side`` to which side traffic keeps, ``left`` or ``right``.
     """
 
     data: str
@@ -60,6 +60,7 @@ class DataSource:
     out: Path = OUT
     workers: int = 0
     categories: str | None = None
+    driving_side: str | None = None
 
     def __post_init__(self) -> None:
         worker_count(self.workers)
@@ -76,7 +77,7 @@ class DataSource:
 
     def open(self, *, sweeps: bool = False, rates: "FaultList | None" = None) -> "DataSet":
         """Open it; arguments and errors as in `benchmark.api.open_data`."""
-        return open_data(
+        opened = open_data(
             self.data,
             tables=self.tables,
             workers=self.workers,
@@ -85,10 +86,18 @@ class DataSource:
             sweeps=sweeps,
             categories=self.categories,
         )
+        return self._with_side(opened)
+
+    def _with_side(self, data: "DataSet") -> "DataSet":
+        if self.driving_side is None:
+            return data
+        from benchmark.road_map import Handedness
+
+        return data.with_driving_side(Handedness(self.driving_side))
 
     def open_split(self, split: str, source: "DataSet | None" = None) -> "DataSet":
         """Open a split of it, whose data set may be open already; errors as in `benchmark.api.open_split`."""
-        return open_split(source or self.open(), split, self.out, workers=self.workers)
+        return self._with_side(open_split(source or self.open(), split, self.out, workers=self.workers))
 
     def require(self, scenes: Sequence[str] | None = None) -> SourcePreview:
         """Refuse an unknown data set, or scenes that are not in it; as `require_split` for any split."""

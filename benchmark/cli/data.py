@@ -153,6 +153,11 @@ class DataShowOptions:
     root: shared.Root
     to: Annotated[Path, Option("Folder for the pictures.", "Output")]
     conditions: Annotated[bool, Option("Draw what MagicDriveDiT would be told.", "Output")] = False
+    contact: Annotated[
+        Path | None,
+        Option("Record of runs or drives: draw the worst contact of each scene and whose fault it is.", "Input"),
+    ] = None
+    driving_side: shared.DrivingSide = None
     out: shared.Out = api.OUT
     tables: shared.Tables = None
     scenes: shared.Scenes = None
@@ -168,6 +173,9 @@ def data_show_command(options: DataShowOptions) -> None:
     data, scenes = api.DataSource.of(options), parse_name_list(options.scenes)
     data.require(scenes)
     require_place(options.to, "--to")
+    if options.contact is not None:
+        _draw_contacts(options, data, scenes)
+        return
     from benchmark.datasets.scene_names import resolve_names
     from benchmark.machine.extension import import_from_extension
     from generation.render.pictures import write_pictures
@@ -178,6 +186,27 @@ def data_show_command(options: DataShowOptions) -> None:
     write = import_from_extension("pictures", "conditions") if options.conditions else write_pictures
     written = write(dataset, names, options.to, SchematicRenderer())
     typer.echo(f"{pluralise(len(written), 'picture')} in {options.to}")
+
+
+def _draw_contacts(options: DataShowOptions, data: api.DataSource, scenes: tuple[str, ...] | None) -> None:
+    """A picture of the worst contact of each scene of a record, with both ways and when each came into the other's."""
+    from itertools import islice
+
+    from benchmark.fairness.contact_fault import judge_contact, load_roads
+    from benchmark.machine.storage import sanitise_file_name
+    from benchmark.report.contact_pictures import write_contact_picture
+    from benchmark.runs.contact_tracing import open_with_data, trace_worst_contacts
+
+    assert options.contact is not None
+    record, opened = open_with_data(options.contact, data.open_split)
+    count = 0
+    for contact in islice(trace_worst_contacts(record, opened, scenes), options.limit):
+        name = sanitise_file_name(f"{contact.scene.name}-{contact.planner}-{contact.index}")
+        title = f"{contact.planner} on {contact.scene.name}, {contact.moment}"
+        fault = judge_contact(contact.scene, contact.tracks)
+        write_contact_picture(options.to / f"{name}.png", contact.tracks, load_roads(contact.scene), fault, title)
+        count += 1
+    typer.echo(f"{pluralise(count, 'picture')} in {options.to}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

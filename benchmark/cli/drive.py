@@ -49,7 +49,15 @@ class DriveOptions:
     EXTENDED: ClassVar = ("planner",)
 
     RARE: ClassVar = (
-        *("tables", "categories", "adversary_every", "adversary_others", "adversary_rounds", "adversary_candidates"),
+        *(
+            "tables",
+            "categories",
+            "driving_side",
+            "adversary_every",
+            "adversary_others",
+            "adversary_rounds",
+            "adversary_candidates",
+        ),
         *("adversary_tracks", "keep_considered", "image_format", "frame", "accept_torch_tensors", "scenarios"),
         *("target", "timeout", "memory_limit", "precision", "address"),
     )
@@ -106,6 +114,7 @@ class DriveOptions:
     shard: shared.Shard = None
     tables: shared.Tables = None
     categories: shared.Categories = None
+    driving_side: shared.DrivingSide = None
     adversary_every: Annotated[float, Option("adversary: seconds between its plans, at most 3.", "Search")] = 1.0
     adversary_others: Annotated[
         Literal["replay", "idm"], Option("adversary: how everybody else behaves.", "Search")

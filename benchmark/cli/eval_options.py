@@ -17,7 +17,18 @@ class EvalOptions:
     EXTENDED: ClassVar = ("planner",)
 
     RARE: ClassVar = (
-        *("tables", "categories", "results_format", "name", "native", "frame", "as_is", "dump_results", "unchanged"),
+        *(
+            "tables",
+            "categories",
+            "driving_side",
+            "results_format",
+            "name",
+            "native",
+            "frame",
+            "as_is",
+            "dump_results",
+            "unchanged",
+        ),
         *("precision", "image_format", "sample_limit", "memory_limit", "explain_protocols"),
     )
 
@@ -55,6 +66,7 @@ class EvalOptions:
     shard: shared.Shard = None
     tables: shared.Tables = None
     categories: shared.Categories = None
+    driving_side: shared.DrivingSide = None
     results_format: Annotated[
         str, Option("With --results: auto tells it by content (docs/your-results.md).", "Input", names="--format")
     ] = "auto"

@@ -38,6 +38,10 @@ Categories = Annotated[
         "Input",
     ),
 ]
+DrivingSide = Annotated[
+    Literal["left", "right"] | None,
+    Option("Side that traffic keeps to; by default found from lanes and place (docs/fault.md).", "Input"),
+]
 Out = Annotated[Path, Option("Folder for all output.", "Output")]
 Split = Annotated[str, Option("val, val-r, adv, or a split of the data set's own.", "Input")]
 Splits = Annotated[

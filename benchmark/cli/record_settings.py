@@ -89,6 +89,7 @@ def _read_common_options(members: Mapping[str, Any]) -> dict[str, Any]:
         "data": members["data"]["name"],
         "scenes": None if len(scenes) == members["scenes_in_split"] else scenes,
         "seed": members["seed"],
+        "driving_side": config.get("driving_side"),
         "memory_limit": None if memory is None else memory / _GIB,
     }
 

@@ -1,5 +1,6 @@
 """Data sets in nuScenes format, through the devkit, one scene at a time."""
 
+import copy
 import functools
 from collections import Counter, OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,7 +34,7 @@ from benchmark.planning import CameraView, Observation
 from benchmark.records.review import SplitReview, read_review
 from benchmark.records.run_schema import SceneFacts
 from benchmark.records.scene_assessment import SceneAssessment
-from benchmark.road_map import RoadMap
+from benchmark.road_map import Handedness, RoadMap
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 
@@ -53,6 +54,7 @@ class NuScenesData:
         self.version = version
         self.name = name
         self.categories = tables.categories
+        self.driving_side: Handedness | None = None
         self._tables = tables
         self._rows: dict[str, Row] = {row["name"]: row for row in tables.rows("scene")}
         self._logs: dict[str, Row] = {row["token"]: row for row in tables.rows("log")}
@@ -86,13 +88,20 @@ class NuScenesData:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel to another process as a path; each process loads the tables once."""
-        return _reopen, (str(self.root), self.version, self.name, self.categories)
+        return _reopen, (str(self.root), self.version, self.name, self.categories, self.driving_side)
 
     def with_categories(self, categories: CategoryNames) -> Self:
         """The same root with other names of categories replaced."""
         if categories == self.categories:
             return self
-        return type(self).open(self.root, version=self.version, name=self.name, categories=dict(categories))
+        named = type(self).open(self.root, version=self.version, name=self.name, categories=dict(categories))
+        return named.with_driving_side(self.driving_side)
+
+    def with_driving_side(self, side: Handedness | None) -> Self:
+        """The same root where traffic keeps to a side, as somebody says; ``None``: it has to be found."""
+        sided = copy.copy(self)
+        sided.driving_side, sided._scenes = side, OrderedDict()
+        return sided
 
     def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:
         """Number of annotations of scenes, and those of no nuScenes category; scenes are read only for the latter."""
@@ -252,6 +261,7 @@ class NuScenesData:
             road_map=self._map_around(str(log["location"]), timeline.ego.position),
             adversaries=self._adversaries(row["name"]),
             sweep_poses=read_sweep_poses(nusc, samples, timeline.keyframes, [camera.name for camera in cameras]),
+            driving_side=self.driving_side,
         )
 
     def _map_around(self, location: str, position: Floats) -> RoadMap:
@@ -263,8 +273,9 @@ class NuScenesData:
 
 
 @functools.lru_cache(maxsize=2)
-def _reopen(root: str, version: str, name: str, categories: CategoryNames) -> NuScenesData:
-    return NuScenesData.open(Path(root), version=version, name=name, categories=dict(categories))
+def _reopen(root: str, version: str, name: str, categories: CategoryNames, side: Handedness | None) -> NuScenesData:
+    data = NuScenesData.open(Path(root), version=version, name=name, categories=dict(categories))
+    return data.with_driving_side(side)
 
 
 def _read_provenance(path: Path, scenes: set[str]) -> dict[str, Any] | None:

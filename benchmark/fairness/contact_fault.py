@@ -26,6 +26,11 @@ def _read_place(road_map: RoadMap, driving_side: Handedness | None) -> tuple[Fau
 _load_place: Final = IdentityCache[RoadMap, tuple[FaultRoads, Handedness]](_read_place, kept=4)
 
 
+def load_roads(scene: Scene) -> FaultRoads:
+    """The roads of a scene as attribution sees them."""
+    return _load_place(scene.road_map, scene.driving_side)[0]
+
+
 def judge_contact(scene: Scene, tracks: ContactTracks) -> FaultAttribution:
     """Whose fault a contact is on the map of a scene, which may be empty; `attribute_fault` says what tracks are."""
     return attribute_fault(tracks, *_load_place(scene.road_map, scene.driving_side))

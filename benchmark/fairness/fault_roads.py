@@ -159,6 +159,11 @@ class FaultRoads:
         low, high = np.fmin(bounds[:, :2], surfaces[:, :2]), np.fmax(bounds[:, 2:], surfaces[:, 2:])
         return np.ascontiguousarray(np.concatenate([low, high], axis=1).T)
 
+    @property
+    def sign_shapes(self) -> list[Polygon]:
+        """Stop lines of a type that rules know."""
+        return [shape for shape, _ in self._signs]
+
     def near(self, points: Floats, reach_m: float) -> Indices:
         """Lanes whose strip may be within some metres of one of (Q, 2) points."""
         if not len(points):

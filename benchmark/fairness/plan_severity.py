@@ -11,6 +11,7 @@ import numpy as np
 
 from benchmark.constants import PLAN_STEPS
 from benchmark.fairness.contact_fault import attribute_contact
+from benchmark.fairness.fault_definition import ContactTracks
 from benchmark.fairness.near_misses import compute_ego_velocities, measure_near_misses
 from benchmark.fairness.plan_tracks import RoadUserAhead, place_lidar_boxes, trace_plan_contact
 from benchmark.geometry import Bools, Floats, boxes_overlap, ego_footprints
@@ -106,6 +107,16 @@ def measure_plan_severities(
     starts = range(0, len(truths), _SAMPLES_AT_ONCE)
     batches = [slice(start, start + _SAMPLES_AT_ONCE) for start in starts]
     return [row for batch in batches for row in _measure_batch(truths[batch], plans[batch], lanes, scene)]
+
+
+def trace_first_contact(truth: SampleTruth, plan_lidar: Floats, scene: Scene) -> ContactTracks | None:
+    """Tracks up to the first contact of a (6, 2) plan, as `measure_plan_severities` finds it; ``None`` without one."""
+    ego = np.concatenate([_PRESENT[None], compute_plan_boxes(np.asarray(plan_lidar, np.float64)[None])[0]])
+    world = _PlanSurroundings.of([truth])
+    rows, instants = _find_first_hits(ego[None], world)
+    if not len(rows):
+        return None
+    return trace_plan_contact(scene, truth, ego, world.ahead(int(rows[0])), int(instants[0]))
 
 
 def _measure_batch(

@@ -34,7 +34,7 @@ from benchmark.runs.drive_rows import mark_labelled
 from benchmark.runs.drive_settings import KEPT, ClosedLoopJob, EpisodeTask, EpisodeUnit
 from benchmark.runs.drive_settings import DriveSettings as DriveSettings
 from benchmark.runs.drive_work import EpisodeResult, PlannerPool, collect_costs, drive_tasks, drive_tasks_in_worker
-from benchmark.runs.judging import JudgedScenes, describe_data
+from benchmark.runs.judging import JudgedScenes, describe_data, describe_given_names
 from benchmark.runs.plan_rows import PlannerFactory, describe_sandbox_limits
 from benchmark.runs.planner_facts import build_planner_facts
 from benchmark.runs.run_directory import run_directory
@@ -78,7 +78,7 @@ def _config(of: ClosedLoopResults) -> dict[str, Any]:
         "seed": of.settings.seed,
         "timeout_s": of.settings.timeout_s,
         **describe_sandbox_limits(of.job.factory),
-        **({"categories": dict(of.data.categories)} if of.data.categories else {}),
+        **describe_given_names(of.data),
     }
 
 

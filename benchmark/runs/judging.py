@@ -83,6 +83,15 @@ def describe_data(of: JudgedScenes, *fields: str) -> dict[str, Any]:
     }
 
 
+def describe_given_names(data: "DataSet") -> dict[str, Any]:
+    """What a user said of a data set, for the record: names of categories, side of traffic; nothing where nothing."""
+    side = data.driving_side
+    return {
+        **({"categories": dict(data.categories)} if data.categories else {}),
+        **({"driving_side": side.value} if side else {}),
+    }
+
+
 LONGEST_JUDGED: Final = max(LONGER_HORIZON_STEPS.values())
 """Steps of a plan that anything is said about."""
 PLANNERS_AT_ONCE: Final = 10

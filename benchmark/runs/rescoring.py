@@ -23,6 +23,7 @@ from benchmark.records.rows import SampleRows
 from benchmark.records.run import RunRecord, load_record, summarise_rows, write_record
 from benchmark.records.run_schema import SCHEMA, RecordFacts, SceneFacts, TruthFacts
 from benchmark.records.store import RUN_FILE, finish_replacement, pending_path, stored_schema
+from benchmark.road_map import Handedness
 from benchmark.runs.caveats import list_run_caveats
 from benchmark.runs.judging import judge_plans
 from benchmark.runs.scene_reading import SceneReading
@@ -133,19 +134,20 @@ def rescore_all(
     yield from (results[directory] for directory in sorted(results))
 
 
-OpenedDataSets = dict[tuple[str, CategoryNames], "DataSet"]
-"""Data sets by split, and by names of categories that are replaced in them."""
+OpenedDataSets = dict[tuple[str, CategoryNames, str], "DataSet"]
+"""Data sets by split, and by what records say of them: names of categories that are replaced, side of traffic."""
 
 
 def open_as_recorded(facts: RecordFacts, opened: OpenedDataSets, open_split: Callable[[str], "DataSet"]) -> "DataSet":
-    """The data set that a record ran on, with the category names replaced then; ``opened`` has the open ones."""
-    names = read_replaced_categories(facts)
-    as_it_is = (facts.split, ())
+    """The data set that a record ran on, with what was said of it then; ``opened`` has the open ones."""
+    names, side = read_replaced_categories(facts), str(facts.config.get("driving_side", ""))
+    as_it_is, key = (facts.split, (), ""), (facts.split, names, side)
     if as_it_is not in opened:
         opened[as_it_is] = open_split(facts.split)
-    if (facts.split, names) not in opened:
-        opened[facts.split, names] = opened[as_it_is].with_categories(names)
-    return opened[facts.split, names]
+    if key not in opened:
+        named = opened[as_it_is].with_categories(names)
+        opened[key] = named.with_driving_side(Handedness(side)) if side in [*Handedness] else named
+    return opened[key]
 
 
 def read_replaced_categories(facts: RecordFacts) -> CategoryNames:
