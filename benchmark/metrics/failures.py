@@ -14,14 +14,20 @@ import numpy as np
 
 from benchmark.metrics.effect import AT_3_S, attributes_contacts, collect_sample_contacts, knows_contact_partners
 from benchmark.records.drives import DriveRecord
-from benchmark.records.fault import StoredFault, blames_ego
+from benchmark.records.fault import FaultVerdict, StoredFault, blames_ego
 from benchmark.records.rows import SampleRows, find_raised_line
 from benchmark.records.run import RunRecord
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
 
-_FAULT_ORDER: Final = {True: 0, None: 1, False: 2}
+_FAULT_ORDER: Final[dict[FaultVerdict | None, int]] = {
+    FaultVerdict.EGO: 0,
+    None: 1,
+    FaultVerdict.SHARED: 2,
+    FaultVerdict.UNCLEAR: 3,
+    FaultVerdict.OTHER: 4,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +62,8 @@ class Failure:
     @property
     def order(self) -> tuple[bool, int, float, str, int]:
         """Key to sort by, the worst first."""
-        speed = self.delta_v_m_s or 0.0
-        return self.adversary is not True, _FAULT_ORDER[self.at_fault], -speed, self.scene, self.index
+        speed, verdict = self.delta_v_m_s or 0.0, None if self.fault is None else self.fault.verdict
+        return self.adversary is not True, _FAULT_ORDER[verdict], -speed, self.scene, self.index
 
 
 @dataclass(frozen=True, slots=True)

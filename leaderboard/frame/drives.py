@@ -88,7 +88,7 @@ class ComparableDrives:
         few = len({known[name].source if name in known else name for name in first.scenes}) < FEW_SCENES
         stale = [
             f"{STALE_MARK} {row.name}: scored by version {row.record.facts.scoring} of the closed-loop scores, not the "
-            "present one; run the same challenger-bench drive again."
+            "present one; challenger-bench rescore with the data set scores them anew."
             for row in self.rows
             if is_stale(row.record)
         ]

@@ -13,8 +13,8 @@ from tests.benchmark.metrics.test_loops import drives
 from tests.benchmark.records.test_drives import contact, failed, row
 from tests.hand_made import Car, scene_on_straight_road
 
-SCENES = {"A-1": "F.r.", "A-2": "..!s", "B-1": "f-..", "C-1": "...."}
-"""f: touches the adversary at fault, s: of unknown fault, r: is run into by it, F: touches a bystander, !: raised."""
+SCENES = {"A-1": "F.r.", "A-2": "..!?", "B-1": "f-..", "C-1": "...."}
+"""f: touches the adversary at fault, ?: of unknown fault, r: is run into by it, F: touches a bystander, !: raised."""
 
 
 def ran(scenes: dict[str, str] = SCENES) -> RunRecord:
@@ -116,7 +116,7 @@ def test_tables_say_how_many_there_are_and_a_dash_where_nothing_is_known() -> No
         "samples without a plan (1)",
     ]
     assert scenes.rows == (("B-1", "0", "1/3", "1", "1"), ("A-2", "3", "1/3", "1", "0"))
-    assert samples.rows[1] == ("A-2", "an object, the adversary", "–", "3", "1.5", "2.8", "1.0")
+    assert samples.rows[1] == ("A-2", "an object, the adversary", "–", "–", "3", "1.5", "2.8", "1.0")
     assert crashes.rows == (("A-2", "2", "RuntimeError"),)
     assert all(len(line) <= 100 for table in (scenes, samples, crashes) for line in table.plain(width=100).splitlines())
     clean = find_failures(ran({"A-1": "...."}))
