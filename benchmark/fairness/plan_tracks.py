@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmark.fairness.contact_fault import make_contact_grid
 from benchmark.fairness.fault_definition import WINDOW_S, ContactTracks, RoadUser
-from benchmark.geometry import Bools, Floats, wrap_angle
+from benchmark.geometry import Bools, Floats, ego_footprints, wrap_angle
 from benchmark.interactions.tracks import STEP_S
 from benchmark.machine.identity_cache import IdentityCache
 from benchmark.scene import Scene
@@ -15,12 +15,20 @@ from benchmark.truth import SampleTruth
 
 _POSE: Final = (0, 1, 4)
 """Columns of a box."""
-_AS_RECORDED: Final = IdentityCache[Scene, Floats](lambda scene: scene.ego.boxes[:, _POSE], kept=2)
-"""(T, 3) poses of the box of a scene's ego."""
 _BEFORE_S: Final = 1.0
 """Frames so long before the window are enough to interpolate from."""
 _NOW_S: Final = 1e-6
 """A frame so near to a sample is the sample's."""
+
+
+def _place_recorded_ego(scene: Scene) -> Floats:
+    """(T, 3) poses of the ego's box of ``exact``, which is not quite the body, on the recorded path."""
+    lidar, ahead_m = scene.ego.pose.copy(), float(scene.lidar.translation[0])
+    lidar[:, :2] += ahead_m * np.column_stack([np.cos(lidar[:, 2]), np.sin(lidar[:, 2])])
+    return ego_footprints(lidar)[:, _POSE]
+
+
+_load_recorded_ego: Final = IdentityCache[Scene, Floats](_place_recorded_ego, kept=2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +69,7 @@ def trace_plan_contact(
     ego_times = np.concatenate([seconds[first:past], ahead])
     other_times = np.concatenate([seconds[past - len(known) : past], ahead[came:]])
     grid = make_contact_grid(float(ahead[-1]), float(other_times[0]))
-    ego = np.concatenate([_AS_RECORDED(scene)[first:past], _place(ego_boxes[: instant + 1], truth)])
+    ego = np.concatenate([_load_recorded_ego(scene)[first:past], _place(ego_boxes[: instant + 1], truth)])
     poses = np.concatenate([known, _place(other.boxes[came : instant + 1], truth)])
     return ContactTracks(
         grid,

@@ -227,7 +227,7 @@ def _measure_severity(samples: PlannedSamples) -> Sequence[Any]:
     known = recorded is not None and recorded.road.drivable and recorded.road.lanes
     road = recorded.road if recorded is not None and known else None
     truths = [truth.by_clock for truth in samples.truths]
-    return measure_plan_severities(truths, samples.in_lidar, road, samples.scene.scene(samples.scene.name))
+    return measure_plan_severities(truths, samples.in_lidar, road, samples.scene.recording)
 
 
 def _judge_longer(samples: PlannedSamples) -> Sequence[Any]:
