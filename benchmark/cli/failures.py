@@ -16,7 +16,7 @@ from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
-    from benchmark.metrics.failures import Failures
+    from benchmark.metrics.failures import Failure, Failures
     from benchmark.records.drives import DriveRecord
     from benchmark.records.run import RunRecord
     from benchmark.records.store import RecordIdentity
@@ -179,6 +179,11 @@ def _has_sheet(scene: str, record: "RunRecord | DriveRecord", options: FailuresO
     return shows and (scene_folder(root, data.name, split, scene) / SHEET_FILE).is_file()
 
 
+def _describe(failure: "Failure") -> dict[str, Any]:
+    fault = failure.fault
+    return {**asdict(failure), "fault": None if fault is None else fault.model_dump(mode="json")}
+
+
 def _as_json(failures: "Failures", options: FailuresOptions, *, several: bool) -> dict[str, Any]:
     record, limit = failures.record, options.limit
     return {
@@ -196,11 +201,11 @@ def _as_json(failures: "Failures", options: FailuresOptions, *, several: bool) -
                 "scene": scene.scene,
                 "counted": scene.counted,
                 "failed": len(scene.failures),
-                "worst": asdict(scene.failures[0]),
+                "worst": _describe(scene.failures[0]),
                 "film": _list_film_commands(scene.scene, record, options, several),
             }
             for scene in failures.scenes[:limit]
         ],
-        "worst": [asdict(failure) for failure in failures.worst[:limit]],
+        "worst": [_describe(failure) for failure in failures.worst[:limit]],
         "crashes": [asdict(crash) for crash in failures.crashes[:limit]],
     }

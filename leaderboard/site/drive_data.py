@@ -247,7 +247,7 @@ def _build_strip(row: EpisodeRow, begins_s: float, end_s: float) -> list[list[st
         [
             "touch cp-touch-adversary" if adversary else "touch",
             f"left:{min(100 * seconds / end_s, 100):.2f}%",
-            f"touches {words} at {format_number(seconds, 1)} s",
+            f"at {format_number(seconds, 1)} s touches {words}",
             f"{words} ✕",
         ]
         for seconds, words, adversary in list_touches(row, begins_s)

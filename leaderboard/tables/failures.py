@@ -7,15 +7,15 @@ from benchmark.metrics.failures import Crash, FailedScene, Failure, Failures
 from benchmark.records.drives import DriveRecord
 from benchmark.records.run_schema import RecordFacts
 from benchmark.report.cells import UNDEFINED, format_number
-from benchmark.report.fault_words import FAULT_CELLS, spell_reason
+from benchmark.report.fault_words import FAULT_CELLS
 from benchmark.report.table import Table, build_table
 from benchmark.report.words import pluralise
 
 _NOTES: Final = {
     "sample": "At and contact: seconds since the scene's first sample, when the plan is made and when it first touches "
-    "something. At fault, why: docs/fault.md. Delta-v: change of the ego's velocity, m/s. A dash: the record does not "
+    "something. At fault: docs/fault.md. Delta-v: change of the ego's velocity, m/s. A dash: the record does not "
     "say.",
-    "drive": "Contact: seconds since the planner drives. At fault, why: docs/fault.md. Delta-v: change of the ego's "
+    "drive": "Contact: seconds since the planner drives. At fault: docs/fault.md. Delta-v: change of the ego's "
     "velocity, m/s.",
 }
 
@@ -52,10 +52,10 @@ def failure_tables(failures: Failures, limit: int) -> list[Table]:
         columns: tuple[str, ...] = ("scene", f"worst {number}", f"failed {unit}s", "adversary", "at fault")
         rows = [_scene_row(scene) for scene in scenes]
         tables.append(build_table("", _title("worst scenes", len(scenes), len(failures.scenes)), columns, rows))
-        columns = ("scene", "hits", "at fault", "why", number, "at s", "contact s", "delta-v")
+        columns = ("scene", "hits", "at fault", number, "at s", "contact s", "delta-v")
         title = _title(f"worst {unit}s", len(worst), len(failures.worst))
         rows = [_failure_row(failure) for failure in worst]
-        tables.append(build_table("", title, columns, rows, notes=[_NOTES[unit]], text_columns=4))
+        tables.append(build_table("", title, columns, rows, notes=[_NOTES[unit]], text_columns=3))
     if failures.crashes:
         crashes = failures.crashes[:limit]
         title = _title(f"{unit}s without a plan", len(crashes), len(failures.crashes))
@@ -90,7 +90,6 @@ def _failure_row(failure: Failure) -> tuple[str, ...]:
         failure.scene,
         f"{hits}, the adversary" if failure.adversary else hits,
         UNDEFINED if fault is None else FAULT_CELLS[fault.verdict],
-        UNDEFINED if fault is None else spell_reason(fault.reason),
         str(failure.index),
         format_number(failure.moment_s, 1),
         format_number(failure.contact_s, 1),

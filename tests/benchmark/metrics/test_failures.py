@@ -116,7 +116,7 @@ def test_tables_say_how_many_there_are_and_a_dash_where_nothing_is_known() -> No
         "samples without a plan (1)",
     ]
     assert scenes.rows == (("B-1", "0", "1/3", "1", "1"), ("A-2", "3", "1/3", "1", "0"))
-    assert samples.rows[1] == ("A-2", "an object, the adversary", "–", "–", "3", "1.5", "2.8", "1.0")
+    assert samples.rows[1] == ("A-2", "an object, the adversary", "–", "3", "1.5", "2.8", "1.0")
     assert crashes.rows == (("A-2", "2", "RuntimeError"),)
     assert all(len(line) <= 100 for table in (scenes, samples, crashes) for line in table.plain(width=100).splitlines())
     clean = find_failures(ran({"A-1": "...."}))
