@@ -102,7 +102,7 @@ def read_frozen_split(file: str | Path) -> NamedSplit:
 def require_town(named: NamedSplit, data: str) -> None:
     """Refuse a frozen split of another version of the embedded town than ``--data`` names."""
     made_from, given = _find_town(named), read_embedded_version(data)
-    if None not in (made_from, given) and made_from != given:
+    if made_from is not None and given is not None and made_from != given:
         right = format_town(made_from)
         raise InputError(
             f"frozen split {named.name} was made from another embedded town than {data}; give --data {right}"
