@@ -103,11 +103,12 @@ def open_data(
         return open_root(Path(data), version=tables, rates=rates, categories=named)
     from generation.sources.embedded import find_town
 
-    town, pictures = find_town(str(data)), "all" if sweeps else "keyframes"
-    root = cache_root() / town.folder_name()
+    embedded = find_town(str(data))
+    pictures: Literal["all", "keyframes"] = "all" if sweeps else "keyframes"
+    root = cache_root() / embedded.folder_name()
     if not is_finished(root):
         notify(f"building the embedded data set in {root} (once, about {_TOWN_TAKES[pictures]})")
-    return open_root(town.build(root, pictures, worker_count(workers)), name=town.name)
+    return open_root(embedded.build(root, pictures, worker_count(workers)), name=embedded.name)
 
 
 def open_split(
