@@ -111,7 +111,8 @@ def require_town(named: NamedSplit, data: str) -> None:
 
 def _find_town(named: NamedSplit) -> int | None:
     recordings = named.frozen.recordings
-    return find_version(recordings.name, recordings.fingerprint, packaged=named.path is None)
+    is_packaged = named.path is None and named.name in list_packaged_splits()
+    return find_version(recordings.name, recordings.fingerprint, packaged=is_packaged)
 
 
 def compute_search_hash(search: SearchMetadata, chosen: SceneChoice, adversaries: int) -> str:

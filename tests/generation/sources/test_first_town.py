@@ -106,12 +106,13 @@ def test_each_town_has_its_own_splits() -> None:
 def test_a_split_of_the_current_town_is_none_of_the_first() -> None:
     named = read_frozen_split("mini-adv-3")
     other = named.frozen.recordings.model_copy(update={"fingerprint": "a" * 64})
-    newer = replace(named, name="mini-adv-4", frozen=named.frozen.model_copy(update={"recordings": other}))
+    newer = replace(named, frozen=named.frozen.model_copy(update={"recordings": other}))
     require_town(newer, "mini")
     with pytest.raises(InputError, match=r"give --data mini$"):
         require_town(newer, FIRST_TOWN)
-    # A file may come from anywhere.
+    # Files and packages may come from anywhere.
     require_town(replace(newer, path=Path("mine.json")), FIRST_TOWN)
+    require_town(replace(newer, name="mine"), FIRST_TOWN)
 
 
 @pytest.mark.usefixtures("second_town")
