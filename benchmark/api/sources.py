@@ -102,7 +102,7 @@ class DataSource:
     def require(self, scenes: Sequence[str] | None = None) -> SourcePreview:
         """Refuse an unknown data set, or scenes that are not in it; as `require_split` for any split."""
         if self._is_mini:
-            return _preview_embedded("val", self.out, scenes, None)
+            return _preview_embedded(self.name, "val", self.out, scenes, None)
         return SourcePreview(_choose_scenes(self._listed(None), None, self.name_scenes(scenes), None))
 
     def require_source(
@@ -111,8 +111,8 @@ class DataSource:
         """Refuse what nothing can be generated from; as `require_split`, with scenes that may be of any split."""
         if self._is_mini:
             if split != "val":
-                raise InputError(f"the embedded data set mini has no split {split!r}; its only split is val")
-            return _preview_embedded("val", self.out, scenes, limit)
+                raise InputError(f"the embedded data set {self.name} has no split {split!r}; its only split is val")
+            return _preview_embedded(self.name, "val", self.out, scenes, limit)
         of_split, scenes = self._listed(split), self.name_scenes(scenes)
         return SourcePreview(_choose_scenes(of_split if scenes is None else self._listed(None), split, scenes, limit))
 
@@ -125,7 +125,7 @@ class DataSource:
         from benchmark.machine.workspace import format_generate_options, is_finished, is_generated
 
         if self._is_mini:
-            return _preview_embedded(split, self.out, scenes, limit)
+            return _preview_embedded(self.name, split, self.out, scenes, limit)
         name = Path(self.data).resolve().name
         split_folder = workspace(self.out).split_root(name, split)
         is_built = is_generated(split) and is_finished(split_folder)
@@ -166,20 +166,24 @@ class DataSource:
     @property
     def name(self) -> str:
         """Its name in records."""
+        if self._is_mini:
+            from generation.sources.embedded import find_town
+
+            return find_town(self.data).name
         return self.data if self.is_embedded else Path(self.data).resolve().name
 
     @property
     def is_embedded(self) -> bool:
-        """Whether it is made here: ``mini`` or ``demo``."""
-        from benchmark.machine.workspace import EMBEDDED_NAMES
+        """Whether it is made here: ``mini``, ``mini@1`` or ``demo``."""
+        from benchmark.machine.workspace import is_embedded_name
 
-        return self.data in EMBEDDED_NAMES
+        return is_embedded_name(self.data)
 
     @property
     def _is_mini(self) -> bool:
-        from benchmark.machine.workspace import EMBEDDED
+        from benchmark.machine.workspace import read_embedded_version
 
-        return self.data == EMBEDDED
+        return read_embedded_version(self.data) is not None
 
     @property
     def _root(self) -> Path:
@@ -206,40 +210,35 @@ def estimate_town_bytes(scenes: int, size: tuple[int, int] = DEFAULT_IMAGE_SIZE,
     return round(scenes * _IMAGES_OF_A_SCENE[frames] * size[0] * size[1] * _BYTES_OF_A_PIXEL)
 
 
-def _preview_embedded(split: str, out: Path, scenes: Sequence[str] | None, limit: int | None) -> SourcePreview:
+def _preview_embedded(
+    name: str, split: str, out: Path, scenes: Sequence[str] | None, limit: int | None
+) -> SourcePreview:
     """The embedded data set, of which everything is known before it is built."""
-    from benchmark.machine.workspace import (
-        EMBEDDED,
-        GENERATED_SPLITS,
-        cache_root,
-        format_generate_options,
-        is_finished,
-    )
+    from benchmark.machine.workspace import GENERATED_SPLITS, cache_root, format_generate_options, is_finished
     from benchmark.records.seed_splits import parse_seed
 
     splits = ("val", *GENERATED_SPLITS)
-    if parse_seed(split) is not None and not is_finished(made_by_seed := workspace(out).split_root(EMBEDDED, split)):
+    if parse_seed(split) is not None and not is_finished(made_by_seed := workspace(out).split_root(name, split)):
         raise InputError(
-            f"split {split!r} of {EMBEDDED} is missing at {made_by_seed}; build it with: challenger-bench generate "
+            f"split {split!r} of {name} is missing at {made_by_seed}; build it with: challenger-bench generate "
             f"{format_generate_options(split)}{format_options(out=out)}"
         )
     if parse_seed(split) is None and split not in splits:
         raise InputError(
-            f"the embedded data set mini has no split {split!r}; {did_you_mean(split, splits)}it has "
+            f"the embedded data set {name} has no split {split!r}; {did_you_mean(split, splits)}it has "
             f"{', '.join(splits)}"
         )
     # Slow to import; a split of another name is refused before.
     from benchmark.datasets.scene_names import resolve_names_below
     from benchmark.datasets.statistics import list_scenes
-    from generation.sources.mini import TownSettings
-    from generation.sources.town.scenes import list_town_scene_names
+    from generation.sources.embedded import find_town
     from generation.splits.packaged import read_newest_split
 
-    settings, split_folder = TownSettings(), workspace(out).split_root(EMBEDDED, split)
-    root, recorded = cache_root() / settings.folder_name(EMBEDDED), list_town_scene_names("val", settings.val_scenes)
+    town, split_folder = find_town(name), workspace(out).split_root(name, split)
+    root, recorded = cache_root() / town.folder_name(), town.scene_names()
     builds = []
     if not is_finished(root):
-        needed = estimate_town_bytes(settings.val_scenes, frames="keyframes")
+        needed = estimate_town_bytes(len(recorded), frames="keyframes")
         require_place(root, "CHALLENGER_BENCH_CACHE")
         require_room(root, needed, "the embedded data set", "CHALLENGER_BENCH_CACHE")
         builds.append(f"the embedded data set in {root} (once, about a minute, {format_gigabytes(needed)})")
@@ -249,7 +248,7 @@ def _preview_embedded(split: str, out: Path, scenes: Sequence[str] | None, limit
         scenes = resolve_names_below(split_folder, scenes)
         return SourcePreview(_choose_scenes(list_scenes(split_folder, split), split, scenes, limit), tuple(builds))
     if split == "adv":
-        frozen = read_newest_split(EMBEDDED)
+        frozen = read_newest_split(name)
         builds += _list_frozen_builds(frozen)
         made_names = tuple(sorted(scene.name for scene in frozen.frozen.scenes))
         return SourcePreview(_choose_scenes(made_names, split, scenes, limit), tuple(builds))

@@ -15,6 +15,7 @@ from benchmark.datasets.scene_facts import add_truth_facts
 from benchmark.errors import InputError
 from benchmark.machine.environment import read_machine_metadata as environment_facts
 from benchmark.machine.storage import lock_folder
+from benchmark.machine.workspace import hint_at_earlier_town, strip_version
 from benchmark.pdm.definition import PDM
 from benchmark.protocols import PROTOCOLS, find_category_protocols, find_protocol
 from benchmark.records.review import describe_review
@@ -114,7 +115,7 @@ def rescore_all(
     opened: OpenedDataSets = {}
 
     def open_for(record: RunRecord) -> "DataSet | None":
-        return None if record.run.data.name != data_name else open_as_recorded(record.run, opened, open_split)
+        return open_if_recorded_on(data_name, record.run, opened, open_split)
 
     results: dict[Path, RescoringResult] = {}
     waiting: list[_OpenedRecord] = []
@@ -148,6 +149,16 @@ def open_as_recorded(facts: RecordFacts, opened: OpenedDataSets, open_split: Cal
         named = opened[as_it_is].with_categories(names)
         opened[key] = named.with_driving_side(Handedness(side)) if side in [*Handedness] else named
     return opened[key]
+
+
+def open_if_recorded_on(
+    data_name: str, facts: RecordFacts, opened: OpenedDataSets, open_split: Callable[[str], "DataSet"]
+) -> "DataSet | None":
+    """The data set that a record ran on, if it is that of a name, or an earlier town that was called ``mini`` then."""
+    if facts.data.name not in (data_name, strip_version(data_name)):
+        return None
+    data = open_as_recorded(facts, opened, open_split)
+    return data if facts.data.name == data_name or facts.data.fingerprint == data.fingerprint() else None
 
 
 def read_replaced_categories(facts: RecordFacts) -> CategoryNames:
@@ -299,7 +310,8 @@ def require_same_data(directory: Path, facts: RecordFacts, data: "DataSet", *, a
     if facts.data.fingerprint != data.fingerprint():
         raise InputError(
             f"{directory} used other data of {facts.data.name} than {data.root} now holds (the "
-            f"fingerprints differ); open the data set that it ran on with --data, or run challenger-bench {again} again"
+            f"fingerprints differ{hint_at_earlier_town(facts.data.name)}); open the data set that it ran on with "
+            f"--data, or run challenger-bench {again} again"
         )
     review = data.review(facts.split).facts
     if (None if facts.review is None else facts.review.content) != (None if review is None else review.content):

@@ -5,7 +5,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, Self
 
 import numpy as np
 import shapely
@@ -13,11 +13,15 @@ import shapely
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, make_token
+from benchmark.machine.workspace import strip_version
 from benchmark.records.review import StandingVerdict
 from benchmark.runs.units import ResultStore
 from benchmark.scene import Camera, Scene
 from generation.nuscenes_writer.numbering import SceneNumber
 from generation.render.contract import Renderer
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
 
 WRITER_VERSION: Final = 1
 """Part of every content key; raised when the same scene would be written differently."""
@@ -39,6 +43,11 @@ class SourceInfo:
     fingerprint: str
     root: Path | None = None
     version: str | None = None
+
+    @classmethod
+    def of(cls, source: "DataSet") -> Self:
+        """A data set, of an earlier town by the name that it had: what is made from it stays the same to the byte."""
+        return cls(strip_version(source.name), source.fingerprint(), source.root, source.version)
 
 
 @dataclass(frozen=True, slots=True)

@@ -84,7 +84,7 @@ def check_commands() -> None:
     run("sheets", "--data", "town", "--split", "val")
     run("leaderboard")
     check_site(Path("challenger-out/leaderboard/site"), *planners)
-    frozen = run("generate", "--from", "mini-adv-3", "--limit", "1", "--dry-run")
+    frozen = run("generate", "--from", "mini-adv-3", "--data", "mini@1", "--limit", "1", "--dry-run")
     require("mini-adv-3" in frozen, f"the packaged split is not known: {frozen}")
 
 
