@@ -67,7 +67,9 @@ def classify_contacts(ego: Floats, others: Floats, present: Bools, *, cut: bool 
     hit = np.asarray(shapely.intersects(bodies[rows], near), np.bool_)
     for row in np.unique(rows[hit]).tolist():
         among = np.flatnonzero(hit & (rows == row))
-        chosen = among[0] if len(among) == 1 else among[_find_last(ego[row], others[:, row], present[:, row], agents[among])]
+        chosen = (
+            among[0] if len(among) == 1 else among[_find_last(ego[row], others[:, row], present[:, row], agents[among])]
+        )
         sides[row] = _find_side(ego[row], near[chosen])
     if cut and not sides.any() and present[:, -1].any():
         there = build_bodies(others[present[:, -1], -1])

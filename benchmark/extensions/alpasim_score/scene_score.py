@@ -59,6 +59,7 @@ class LoggedDrive:
         recorded_us: (R,) of the whole recording.
         recorded: (R, 2) centres of the recorded ego's box.
         scored_from_us: Times before do not count, unless all are.
+        ends_us: When it would end by itself, up to which September's rules count the way.
         cut: Whether something that the boxes do not show ended it at the last time: the touch of what is nearest.
     """
 
@@ -69,6 +70,7 @@ class LoggedDrive:
     recorded_us: NDArray[np.int64]
     recorded: Floats
     scored_from_us: int
+    ends_us: int
     cut: bool = False
 
 
@@ -80,7 +82,7 @@ class DriveMeasures:
         relevant: Times that count.
         sides: `ContactSide` of the contact that counts.
         way: Progress along the recorded path up to its end, 0 to 1.
-        reachable_way: The same up to where the recording is at the last time; may exceed 1.
+        reachable_way: The same up to where the recording is at the drive's own end; may exceed 1.
         from_path_m: Distance from the recorded path.
         beside_path_m: The same, but across the last piece of the path where the drive is past its end.
         driven_m: Own way so far.
@@ -156,7 +158,7 @@ def measure_drive(log: LoggedDrive) -> DriveMeasures | None:
         return None
     center, path = log.ego[:, :2], _Path.of(log.recorded)
     station, away = path.project(center)
-    end = np.array([[np.interp(times[-1], recorded_us, log.recorded[:, axis]) for axis in range(2)]])
+    end = np.array([[np.interp(log.ends_us, recorded_us, log.recorded[:, axis]) for axis in range(2)]])
     reached = float(path.project(end)[0][0])
     way = _begin_by_hand(station / path.length if path.length else np.zeros(len(times)))
     relevant = times >= log.scored_from_us

@@ -90,6 +90,7 @@ def read_log(scene: Mapping[str, Any]) -> LoggedDrive:
         recorded_us=np.asarray(recorded["t_us"], np.int64),
         recorded=_place_centers(_singles(recorded["pose"]), _singles(scene["rig_to_aabb"])),
         scored_from_us=int(scene["render_start_us"]) + int(scene["force_gt_us"]),
+        ends_us=int(times[-1]),
     )
 
 
