@@ -72,6 +72,7 @@ GOLDEN: Final = GoldenSet(
     files=("manifest.json", INPUTS, *EXPECTED),
     compare=(compare_scene_scores,),
     quantities={"*": TOLERANCE},
+    built_in=Path(__file__).parent / "golden" / "score",
     usual="score",
 )
 
