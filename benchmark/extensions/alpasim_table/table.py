@@ -121,26 +121,11 @@ def build_alpasim_table(
     raw, deviation = matrix.mean(axis=1, dtype=np.float64), None
     if used == "zoib":
         raw, deviation = _take_posterior(included, posterior)
-    scale = _anchor([subject.name for subject in included], raw, anchors)
-    names, means = [subject.name for subject in included], [_average(subject, scenes) for subject in included]
-    ranks = [None] * len(names) if deviation is None else draw_ranks(raw, deviation)
-    points = (np.argsort(np.lexsort((names, -raw))) + 1).tolist()
-    slope, offset = scale.get("scale"), scale.get("offset", 0.0)
-    rows = [
-        {
-            "point_estimate_rank": points[place],
-            **({} if interval is None else _describe_interval(interval)),
-            "subject_id": subject.name,
-            "is_reference": anchors is not None and subject.name in anchors.references,
-            "policy_capability_score": float(raw[place]) * (1.0 if slope is None else slope) + offset,
-            "raw_policy_capability_score": float(raw[place]),
-            **({} if deviation is None else _describe_deviation(float(deviation[place]), slope)),
-            "average_scene_score": means[place],
-            DISTANCE: subject.km_between,
-        }
-        for place, (subject, interval) in enumerate(zip(included, ranks, strict=True))
-    ]
-    rows.sort(key=_sort_key)
+    names = [subject.name for subject in included]
+    scale = _anchor(names, raw, anchors)
+    rows = _rank_policies(included, scenes, raw, deviation, scale)
+    for row in rows:
+        row["is_reference"] = anchors is not None and row["subject_id"] in anchors.references
     manifest = {
         "requested_algorithm": algorithm,
         "effective_algorithm": used,
@@ -160,6 +145,29 @@ def build_alpasim_table(
     }
     order = tuple(str(row["subject_id"]) for row in rows)
     return AlpasimTable(files, order, tuple(str(warning["reason"]) for warning in warnings))
+
+
+def _rank_policies(
+    subjects: Sequence[Subject], scenes: Sequence[str], raw: Floats, deviation: Floats | None, scale: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """Rows of the ranking by head, in its order."""
+    ranks: Sequence[tuple[float, float] | None] = [None] * len(raw) if deviation is None else draw_ranks(raw, deviation)
+    points = (np.argsort(np.lexsort(([subject.name for subject in subjects], -raw))) + 1).tolist()
+    slope, offset = scale.get("scale"), scale.get("offset", 0.0)
+    rows = [
+        {
+            "point_estimate_rank": points[place],
+            **({} if interval is None else _describe_interval(interval)),
+            "subject_id": subject.name,
+            "policy_capability_score": float(raw[place]) * (1.0 if slope is None else slope) + offset,
+            "raw_policy_capability_score": float(raw[place]),
+            **({} if deviation is None else _describe_deviation(float(deviation[place]), slope)),
+            "average_scene_score": float(np.mean([subject.scores[scene] for scene in scenes])),
+            DISTANCE: subject.km_between,
+        }
+        for place, (subject, interval) in enumerate(zip(subjects, ranks, strict=True))
+    ]
+    return sorted(rows, key=_sort_key)
 
 
 def draw_ranks(scores: Floats, deviations: Floats) -> list[tuple[float, float]]:
@@ -186,10 +194,6 @@ def _describe_interval(interval: tuple[float, float]) -> dict[str, float]:
 def _describe_deviation(raw: float, slope: float | None) -> dict[str, float]:
     scaled = raw if slope is None else raw * abs(slope)
     return {"policy_capability_score_std": scaled, "raw_policy_capability_score_std": raw}
-
-
-def _average(subject: Subject, scenes: Sequence[str]) -> float:
-    return float(np.mean([subject.scores[scene] for scene in scenes]))
 
 
 def _select_subjects(subjects: Sequence[Subject]) -> tuple[list[str], list[Subject], list[dict[str, Any]]]:
