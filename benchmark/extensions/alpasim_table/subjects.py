@@ -67,17 +67,19 @@ def read_subject(path: Path, name: str, shown: str) -> Subject:
 def _read_rollout(rollout: Any) -> tuple[str | None, float | None]:
     if not isinstance(rollout, dict):
         return None, None
-    scene, score = rollout.get("clipgt_id") or rollout.get("scene_id"), rollout.get("score")
-    number = isinstance(score, int | float) and not isinstance(score, bool)
-    return (scene if isinstance(scene, str) else None), (float(score) if number else None)
+    scene = rollout.get("clipgt_id") or rollout.get("scene_id")
+    return (scene if isinstance(scene, str) else None), _read_number(rollout.get("score"))
+
+
+def _read_number(value: Any) -> float | None:
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
 def _read_distance(stored: Mapping[str, Any]) -> float | None:
     results = stored.get("metrics_results")
     first = results[0] if isinstance(results, list) and results else None
-    value = first.get(DISTANCE) if isinstance(first, dict) else None
-    number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    return float(value) if number else None
+    value = _read_number(first.get(DISTANCE)) if isinstance(first, dict) else None
+    return value if value is not None and math.isfinite(value) else None
 
 
 def collect_subjects(records: Sequence[DriveRecord], rules: str) -> list[Subject]:

@@ -152,11 +152,11 @@ def _rank_policies(
 ) -> list[dict[str, Any]]:
     """Rows of the ranking by head, in its order."""
     ranks: Sequence[tuple[float, float] | None] = [None] * len(raw) if deviation is None else draw_ranks(raw, deviation)
-    points = (np.argsort(np.lexsort(([subject.name for subject in subjects], -raw))) + 1).tolist()
+    best = sorted(range(len(raw)), key=lambda place: (-raw[place], subjects[place].name))
     slope, offset = scale.get("scale"), scale.get("offset", 0.0)
     rows = [
         {
-            "point_estimate_rank": points[place],
+            "point_estimate_rank": 1 + best.index(place),
             **({} if interval is None else _describe_interval(interval)),
             "subject_id": subject.name,
             "policy_capability_score": float(raw[place]) * (1.0 if slope is None else slope) + offset,

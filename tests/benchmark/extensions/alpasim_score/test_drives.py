@@ -35,7 +35,7 @@ def driven(scene: Scene, speed: float = 8.0, left: float = 0.0, maker: DefaultBa
 
 
 def scored(scene: Scene, **how: float) -> dict[str, dict[str, float | None]]:
-    parts = score_by_alpasim(scene, driven(scene, **how))
+    parts = score_by_alpasim(scene, driven(scene, how.get("speed", 8.0), how.get("left", 0.0)))
     assert set(parts) == NAMES
     return parts
 
@@ -133,7 +133,7 @@ def test_parts_are_stored_and_an_older_row_gets_them_by_driving_its_plans_again(
     written: dict[str, Any] = older.model_dump(mode="json")
     assert "further" not in written["scores"] and EpisodeRow.model_validate(written) == older
     assert not NAMES & set(compute_column_values(older))
-    again = redrive_and_score(DefaultBackend(), scene, FakeData({scene.name: scene}), older)  # type: ignore[arg-type]
+    again = redrive_and_score(DefaultBackend(), scene, FakeData({scene.name: scene}), older)
     assert again == row
     values = compute_column_values(again)
     assert {values[name] for name in NAMES} == {0.0}

@@ -26,8 +26,8 @@ def drive(scene: str, july: dict[str, float | None], september: dict[str, float 
     return row(scene, scores=scores(further={JULY: july, SEPTEMBER: september}), **changes)
 
 
-def clean(scene: str, **changes: float | None) -> EpisodeRow:
-    return drive(scene, parts(**changes), parts(**changes))
+def clean(scene: str, score: float = 1.0, **changes: float | None) -> EpisodeRow:
+    return drive(scene, parts(score, **changes), parts(score, **changes))
 
 
 def cells(table: Table, place: int) -> dict[str, str]:
