@@ -88,8 +88,10 @@ def find_off_road(scene: Scene, ego: Floats, rules: RuleSet) -> Bools | None:
 def _join_road(scene: Scene) -> tuple[BaseGeometry, BaseGeometry, BaseGeometry]:
     """The drivable surface, without the slits between its parts, its edge, and all lanes."""
     _, road = load_scored_road(scene)
-    surface = shapely.union_all(road.drivable).buffer(SLIT_M, join_style="mitre").buffer(-SLIT_M, join_style="mitre")
-    found = surface, surface.boundary, shapely.union_all(road.lanes)
+    # Outlines of others may cross themselves.
+    drivable, lanes = (shapely.union_all([part.buffer(0.0) for part in parts]) for parts in (road.drivable, road.lanes))
+    surface = drivable.buffer(SLIT_M, join_style="mitre").buffer(-SLIT_M, join_style="mitre")
+    found = surface, surface.boundary, lanes
     for geometry in found:
         shapely.prepare(geometry)
     return found

@@ -93,7 +93,8 @@ def test_july_sees_the_edge_and_september_the_surface() -> None:
     ego = np.array([[100.0, y, *BODY, 0.0] for y in (207.2, 206.0, 200.0, 220.0)])
     assert is_off_road(scene, ego, JULY) == [True, False, False, False]
     assert is_off_road(scene, ego, SEPTEMBER) == [True, False, False, True]
-    slit = shapely.MultiPolygon([shapely.box(0, 193, 100, 207), shapely.box(100.02, 193, 400, 207)])
+    crossed = shapely.Polygon([(300, 193), (400, 207), (400, 193), (300, 207)])
+    slit = shapely.MultiPolygon([shapely.box(0, 193, 100, 207), shapely.box(100.02, 193, 400, 207), crossed])
     parted = replace(scene, road_map=replace(scene.road_map, drivable_area=slit, lanes={}))
     for rules in RULE_SETS:
         assert is_off_road(parted, ego[2:3], rules) == [False]
