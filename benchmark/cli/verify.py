@@ -24,6 +24,8 @@ class VerifyOptions:
             "protocols",
             "pdm",
             "neuroncap",
+            "alpasim",
+            "ability",
             "infos",
             "results",
             "drivers",
