@@ -315,6 +315,45 @@ class RemotePlanner(Protocol):
         """Wait for it; raises `PlannerGoneError` if it stays away."""
 
 
+@dataclass(frozen=True, slots=True)
+class Ride:
+    """The ego's motion in a scene up to now, and the recorded path without its times. Global frame, rear axle, metres.
+
+    Attributes:
+        times_us: (F,) of all poses that are known, the last one now.
+        position: (F, 3).
+        rotation: (F, 4) quaternions.
+        path: (P, 3) where the recorded car went, from the beginning of the scene to its end.
+    """
+
+    times_us: NDArray[np.int64]
+    position: Floats
+    rotation: Floats
+    path: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class AnswerNote:
+    """What was peculiar in an answer that was taken all the same; ``ends_drive`` where the planner wants no more."""
+
+    text: str = ""
+    ends_drive: bool = False
+
+
+@runtime_checkable
+class SessionPlanner(RemotePlanner, Protocol):
+    """A planner elsewhere with a session for each scene, in which poses between the samples and a route are sent."""
+
+    def take_ride(self, ride: Ride) -> None:
+        """Called before each `Planner.plan`."""
+
+    def take_note(self) -> AnswerNote:
+        """Of the last answer; it is forgotten."""
+
+    def end_session(self) -> None:
+        """The scene is over. Nothing is raised, and nothing happens without a session."""
+
+
 @runtime_checkable
 class ContinuousPlanner(Planner, Protocol):
     """A planner that may remember beyond a change of scene, as published runs do (docs/models.md).

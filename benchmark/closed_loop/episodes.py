@@ -22,9 +22,19 @@ from benchmark.closed_loop.simulation_state import (
 )
 from benchmark.errors import InputError
 from benchmark.machine.metering import Meter
-from benchmark.planning import CameraView, Command, NoViews, Plan, Planner, PrivilegedPlanner, SceneInfo
+from benchmark.planning import (
+    CameraView,
+    Command,
+    NoViews,
+    Plan,
+    Planner,
+    PrivilegedPlanner,
+    SceneInfo,
+    SessionPlanner,
+)
 from benchmark.records.drive_schema import NeuroncapScore
 from benchmark.records.encounter_window import EncounterWindow
+from benchmark.runs.plan_rows import build_ride
 from benchmark.scene import Camera, Scene
 
 End = Literal["contact", "end", "failed"]
@@ -43,6 +53,7 @@ class Episode:
         neuroncap: The engine's own score; ``None`` of engines without one, and of a failed drive.
         adversary: Where an adversary went, if there was one that answers or was given its track.
         passed: Contacts before that did not end it; they are not the ego's fault.
+        notes: What was peculiar in answers that were taken all the same. ``terminated`` where the planner ended it.
         window: Part of the scene that was driven around an encounter, if only that was.
     """
 
@@ -58,6 +69,8 @@ class Episode:
     adversary: AdversaryTrack | None = None
     passed: tuple[CollisionEvent, ...] = ()
     window: EncounterWindow | None = None
+    notes: tuple[str, ...] = ()
+    terminated: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,6 +159,8 @@ class _Simulation:
     plans: list[Plan] = field(default_factory=list)
     commands: list[Command] = field(default_factory=list)
     stations: list[float] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    terminated: bool = False
 
     @classmethod
     def of(cls, stage: EpisodeSpec, planner: Planner) -> "_Simulation":
@@ -172,6 +187,13 @@ class _Simulation:
         seconds, own = route.seconds_of(int(ride.motion.times_us[-1])), ride.command
         self.commands.append(route.command(place.station, seconds) if own is None else own)
         plan = self.eyes.planned(self.planner, ride, self.commands[-1])
+        if isinstance(self.planner, SessionPlanner):
+            note = self.planner.take_note()
+            self.notes += [f"{seconds:.1f} s: {note.text}"] if note.text else []
+            if note.ends_drive:
+                self.terminated = True
+                del self.commands[-1], self.stations[-1]
+                return None
         if isinstance(plan, Failure):
             self.failure = plan
             return None
@@ -196,6 +218,8 @@ class _Simulation:
             adversary=ride.adversary,
             passed=() if failed else ride.passed,
             window=self.stage.window,
+            notes=tuple(self.notes),
+            terminated=self.terminated,
         )
 
 
@@ -214,8 +238,10 @@ class _PlannerInterface:
         """The plan of this instant; the privileged see the world as driven, and none sees its future."""
         views: dict[str, CameraView] = NoViews()
         reveals = isinstance(planner, PrivilegedPlanner) and not isinstance(planner, RouteFollower)
-        if reveals or not isinstance(self.look, NoCameras):
+        if reveals or isinstance(planner, SessionPlanner) or not isinstance(self.look, NoCameras):
             driven = build_driven_scene(self.scene, self.route, ride.motion)
+            if isinstance(planner, SessionPlanner):
+                planner.take_ride(build_ride(driven, self.scene.ego.position, len(driven.timestamps_us) - 1))
             if reveals:
                 failure = notify_planner(
                     planner, lambda: cast(PrivilegedPlanner, planner).reveal(driven), self.timeout_s

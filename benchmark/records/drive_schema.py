@@ -319,6 +319,8 @@ class EpisodeRow(Stored):
         window: Part of the scene that was driven around an encounter; not written of drives without one.
         ttc_s: Smallest time to collision of each half second driven in a window, null above 2.9 s; not written of all
             others.
+        notes: What was peculiar in the planner's answers, which were taken all the same; not written where nothing was.
+        terminated: Whether the planner ended the drive; not written where it did not.
     """
 
     scene: Name
@@ -338,10 +340,13 @@ class EpisodeRow(Stored):
     unlabelled: bool = False
     window: EncounterWindow | None = None
     ttc_s: list[NotNegative | None] = Field(default_factory=list)
+    notes: list[str] = Field(default_factory=list)
+    terminated: bool = False
 
     @model_serializer(mode="wrap")
     def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return _without_empty(write(self), "adversary", "ladder", "passed", "unlabelled", "window", "ttc_s")
+        optional = ("adversary", "ladder", "passed", "unlabelled", "window", "ttc_s", "notes", "terminated")
+        return _without_empty(write(self), *optional)
 
     @property
     def first_contact(self) -> ScoredContact | None:

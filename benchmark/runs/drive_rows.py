@@ -82,6 +82,8 @@ def build_episode_row(stage: EpisodeSpec, drive: Episode, scores: EpisodeScores 
             "failure": None if failure is None else {"reason": failure.reason.value, "text": failure.text},
             "adversary": None if drive.adversary is None else encode_adversary_track(stage, drive.adversary),
             "window": None if drive.window is None else asdict(drive.window),
+            "notes": list(drive.notes),
+            "terminated": drive.terminated,
             "ttc_s": [] if scores is None else [round(s, 2) + 0.0 if np.isfinite(s) else None for s in scores.ttc_s],
         }
     )

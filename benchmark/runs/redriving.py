@@ -41,7 +41,8 @@ def redrive_and_score(maker: SimulatorBackend, scene: Scene, data: "DataSet", ro
     rescored_row = build_episode_row(
         stage, episode, None if episode.failure is not None else score_episode(scene, episode)
     )
-    rescored_row = rescored_row.model_copy(update={"ladder": row.ladder})
+    kept = {"ladder": row.ladder, "notes": row.notes, "terminated": row.terminated}
+    rescored_row = rescored_row.model_copy(update=kept)
     if (rescored_row.ticks, rescored_row.contact, rescored_row.passed) != (row.ticks, row.contact, row.passed):
         raise InputError(_format_mismatch(row))
     return rescored_row
@@ -90,6 +91,8 @@ def repeat_search(maker: SimulatorBackend, scene: Scene, data: "DataSet", row: E
 
 def redrive(stage: EpisodeSpec, row: EpisodeRow, plans: "StoredPlans") -> Episode:
     """Drive stored plans on a stage; arguments and errors as of `redrive_with_sensor`."""
+    if row.terminated:
+        stage = replace(stage, most_plans=len(row.plans))
     episode = run_episode(stage, plans)
     ticks = episode.motion.ticks
     states = np.round(episode.motion.ego[ticks], DECIMALS).tolist()
