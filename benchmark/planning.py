@@ -279,6 +279,10 @@ class PlannerFailedError(Exception):
         self.looked = looked
 
 
+class ModelFailedError(Exception):
+    """A model behind a server answered no plan: it failed, and the sentence says how."""
+
+
 class PlannerLostError(PlannerFailedError):
     """Its process ended or had to be ended: the sample fails, and the rest of its scene; `Planner.reset` begins anew.
 
@@ -324,12 +328,14 @@ class Ride:
         position: (F, 3).
         rotation: (F, 4) quaternions.
         path: (P, 3) where the recorded car went, from the beginning of the scene to its end.
+        recorded_us: Until when the car is where it was recorded.
     """
 
     times_us: NDArray[np.int64]
     position: Floats
     rotation: Floats
     path: Floats
+    recorded_us: int
 
 
 @dataclass(frozen=True, slots=True)

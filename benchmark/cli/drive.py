@@ -24,7 +24,7 @@ from benchmark.cli.output import (
 )
 from benchmark.cli.settings import Option, command, take_options
 from benchmark.errors import InputError
-from benchmark.machine.address import is_address
+from benchmark.machine.address import find_scheme, is_address
 from benchmark.report.words import format_options
 
 if TYPE_CHECKING:
@@ -160,7 +160,7 @@ def drive_command(options: DriveOptions) -> None:
     if not names:
         raise InputError("name a planner with --model (for example constant-velocity), or leave --no-baselines out")
     # A little longer than the drive's own limit, so that a late planner is reported for one reason only.
-    own = take_options("planner", options.model)
+    own = take_options("planner", [find_scheme(name) or name for name in options.model])
     planners = api.PlannerSource.of(options, deadline_s=options.timeout + 5.0, of_extensions=own).require()
     supervision = replace(planners.supervision, sample_s=options.timeout)
     for planner in planners.runnable_names:
@@ -185,8 +185,7 @@ def drive_command(options: DriveOptions) -> None:
         print_plan([*dict.fromkeys(line for lines in drives for line in lines)], json_output=options.json_output)
         return
     # Planners first: importing a class of another package may fail, and data may take minutes to build.
-    loading = replace(planners, image_format=options.image_format or "torch", frame=options.frame or "ego")
-    loaded = dict(zip(options.model, loading.load(supervision)))
+    loaded = dict(zip(options.model, planners.load(supervision)))
     factories = [
         loaded[planner] if planner in loaded else api.load_planner(planner, data=options.data) for planner in names
     ]

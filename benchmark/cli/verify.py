@@ -31,6 +31,7 @@ class VerifyOptions:
             "realism",
             "fault",
             "hub",
+            "alpasim",
             "model",
         ],
         Option("What to compare.", names=""),

@@ -241,7 +241,8 @@ class _PlannerInterface:
         if reveals or isinstance(planner, SessionPlanner) or not isinstance(self.look, NoCameras):
             driven = build_driven_scene(self.scene, self.route, ride.motion)
             if isinstance(planner, SessionPlanner):
-                planner.take_ride(build_ride(driven, self.scene.ego.position, len(driven.timestamps_us) - 1))
+                until = int(ride.motion.times_us[ride.motion.ticks[: ride.primed][-1]])
+                planner.take_ride(build_ride(driven, self.scene.ego.position, len(driven.timestamps_us) - 1, until))
             if reveals:
                 failure = notify_planner(
                     planner, lambda: cast(PrivilegedPlanner, planner).reveal(driven), self.timeout_s

@@ -88,10 +88,14 @@ def end_session_after(planner: Planner) -> Iterator[None]:
             planner.end_session()
 
 
-def build_ride(scene: Scene, path: Floats, last: int) -> Ride:
-    """The motion up to a frame of a scene as it was recorded or driven, and the (P, 3) path of the recording."""
-    ego = scene.ego
-    return Ride(scene.timestamps_us[: last + 1], ego.position[: last + 1], ego.rotation[: last + 1], path)
+def build_ride(scene: Scene, path: Floats, last: int, recorded_us: int | None = None) -> Ride:
+    """The motion up to a frame of a scene, and the (P, 3) path of the recording.
+
+    The scene is as it was recorded, or driven since ``recorded_us``.
+    """
+    past, times_us = slice(last + 1), scene.timestamps_us
+    until = int(times_us[last]) if recorded_us is None else recorded_us
+    return Ride(times_us[past], scene.ego.position[past], scene.ego.rotation[past], path, until)
 
 
 class PlannerFactory(Protocol):

@@ -1,4 +1,4 @@
-"""Foreign protobuf messages, counted on the wire before they become objects: a field of two bytes may become a hundred."""
+"""Foreign protobuf messages, counted on the wire before they are objects: two bytes may become a hundred."""
 
 from collections.abc import Callable, Mapping
 from typing import Final

@@ -2,3 +2,22 @@
 
 Messages are made from one table (`messages`); what they mean is in ``docs/extensions/alpasim.md``.
 """
+
+from typing import Any
+
+from benchmark.machine.listening import ServingProtocol
+
+
+def _make(*given: Any, **options: Any) -> Any:
+    from benchmark.extensions.alpasim.server import make_planner_server
+
+    return make_planner_server(*given, **options)
+
+
+def _find_address(host: str | None, port: int | None) -> tuple[str, int]:
+    from benchmark.extensions.alpasim.server import find_address
+
+    return find_address(host, port)
+
+
+ALPASIM = ServingProtocol(_make, "sessions side by side", ("grpc", "google.protobuf"), "alpasim", _find_address)
