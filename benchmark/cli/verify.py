@@ -31,7 +31,6 @@ class VerifyOptions:
             "realism",
             "fault",
             "hub",
-            "alpasim",
             "model",
         ],
         Option("What to compare.", names=""),

@@ -96,7 +96,6 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "fault": "benchmark.extensions.golden_sets.fault:GOLDEN",
         "infos": "benchmark.extensions.infos.verification:GOLDEN",
         "hub": "benchmark.extensions.cards.hub_verification:GOLDEN",
-        "alpasim": "benchmark.extensions.alpasim.verification:GOLDEN",
         "neuroncap": "benchmark.extensions.neuroncap.verification:GOLDEN",
         "model": "adapters.extensions.golden_sets.models:verify_model",
     },
