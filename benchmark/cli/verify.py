@@ -24,6 +24,7 @@ class VerifyOptions:
             "protocols",
             "pdm",
             "neuroncap",
+            "alpasim",
             "infos",
             "results",
             "drivers",

@@ -5,8 +5,9 @@ without what nuScenes lacks; fault during an episode is told by the same rules a
 """
 
 import math
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections import ChainMap
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -31,6 +32,7 @@ from benchmark.interactions.contacts import (
     is_at_fault,
     mass_kg,
 )
+from benchmark.machine.extension import call_installed
 from benchmark.machine.identity_cache import IdentityCache
 from benchmark.pdm import definition as pdm
 from benchmark.pdm.collision_scores import STANDING_M_S
@@ -303,6 +305,7 @@ class EpisodeScores:
     ``comfortable`` says if all of it is within nuPlan's bounds, ``None`` of less than 1.5 s; ``nuplan`` and ``hd`` are
     ``None`` where the map has no road or no lanes, and of NeuroNCAP's engine. ``contact`` ended it, ``passed`` ones did
     not. ``ttc_s`` is the smallest time to collision of each half second driven in a window, infinite above 2.9 s.
+    ``further`` are parts of scores of extensions, by score.
     """
 
     contact: ScoredContact | None
@@ -312,6 +315,7 @@ class EpisodeScores:
     hd: HdScore | None
     passed: tuple[ScoredContact, ...] = ()
     ttc_s: tuple[float, ...] = ()
+    further: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
 
 
 def score_episode(scene: Scene, drive: Episode) -> EpisodeScores:
@@ -343,6 +347,7 @@ def score_episode(scene: Scene, drive: Episode) -> EpisodeScores:
         hd=compute_hd_score(scene, route, drive) if scored else None,
         passed=tuple(scored_touch(touch) for touch in drive.passed),
         ttc_s=() if drive.window is None else _reduce_by_tick(compute_ttc(part, where)),
+        further=dict(ChainMap(*call_installed("drive score", scene, drive))),
     )
 
 

@@ -4,6 +4,7 @@ Other packages add to it by entry points (docs/extending.md). Nothing is importe
 extension that is not installed, or does not work, is reported in one sentence.
 """
 
+import contextlib
 import importlib
 import importlib.util
 import sys
@@ -40,6 +41,8 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     },
     # From settings to a `closed_loop.adversary.AdversaryFactory`.
     "agents": {"adversary": "generation.extensions.reactive_adversary.adversary_maker:build_reactive_adversary_maker"},
+    # From a scene and a `closed_loop.episodes.Episode` in it to parts of further scores, by the name of their column.
+    "drive score": {"alpasim": "benchmark.extensions.alpasim_score.drives:score_by_alpasim"},
     # A `benchmark.planning.Planner` by name, with its options.
     "planner": {},
     # From an address to a planner, and to a `closed_loop.sensors.Sensor`; by scheme.
@@ -72,6 +75,8 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     },
     # From `leaderboard.frame.runs.DataSetRuns` to tables of the data set.
     "table": {},
+    # From records of drives through a data set to tables of them.
+    "drive table": {"alpasim": "leaderboard.extensions.alpasim_score.tables:alpasim_tables"},
     # From `leaderboard.frame.results.LeaderboardResults` to the text of an HTML page of the site.
     "page": {},
     # A `benchmark.protocols.contract.CollisionProtocol`, made without arguments, that ``--protocol`` names.
@@ -97,6 +102,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "infos": "benchmark.extensions.infos.verification:GOLDEN",
         "hub": "benchmark.extensions.cards.hub_verification:GOLDEN",
         "neuroncap": "benchmark.extensions.neuroncap.verification:GOLDEN",
+        "alpasim score": "benchmark.extensions.alpasim_score.verification:GOLDEN",
         "model": "adapters.extensions.golden_sets.models:verify_model",
     },
     "golden set of a renderer": {
@@ -207,6 +213,15 @@ def call_extension(kind: str, name: str, *arguments: Any, **options: Any) -> Any
         raise InputError(
             f"the {kind} {name} of the extension {find_owner(kind, name)} failed ({_describe(error)}); see --debug"
         ) from error
+
+
+def call_installed(kind: str, *arguments: Any) -> list[Any]:
+    """What each extension that is installed here makes of something."""
+    found = []
+    for name in list_offers(kind):
+        with contextlib.suppress(AbsentExtensionError):
+            found.append(call_extension(kind, name, *arguments))
+    return found
 
 
 def import_reference(reference: str) -> Any:

@@ -225,6 +225,7 @@ class ScoreRow(Stored):
 
     Attributes:
         progress_m: Driven along the route.
+        further: Parts of scores of extensions, by score, one of them ``score``; not written where there are none.
     """
 
     progress_m: float
@@ -234,6 +235,11 @@ class ScoreRow(Stored):
     nuplan: NuplanTerms | None
     hd: HdScore | None
     neuroncap: NeuroncapScore | None
+    further: dict[Name, dict[Name, float | None]] = Field(default_factory=dict)
+
+    @model_serializer(mode="wrap")
+    def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return _without_empty(write(self), "further")
 
 
 class TickRows(Stored):

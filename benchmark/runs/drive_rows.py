@@ -137,6 +137,7 @@ def _score_row(drive: Episode, scores: EpisodeScores) -> dict[str, Any]:
             "nuplan": None if scores.nuplan is None else asdict(scores.nuplan),
             "hd": None if scores.hd is None else asdict(scores.hd),
             "neuroncap": None if drive.neuroncap is None else asdict(drive.neuroncap),
+            "further": scores.further,
         }
     )
 

@@ -233,6 +233,9 @@ _NOTES_NEURONCAP: Final = (
     "NNS: 5 without contact, else 4 max(0, 1 - impact / reference); CR: drives with a contact. Numbers of this engine "
     "are comparable with published ones only on NeuroNCAP's own scenarios and renderer. Families weigh equally.",
 )
+_NOTE_FURTHER: Final = (
+    "{}: scores whose parts stand in a table of their own; without a map (¶) they do not count leaving the road."
+)
 _FAILED_NOTE: Final = (
     "failed: drives in which the planner raised, answered no usable plan or was late; in no other column."
 )
@@ -259,6 +262,8 @@ def _table(group: ComparableDrives) -> Table:
     fair = any("survives_cc" in record.summary.columns for record in group.records)
     windows = any("with_bystander" in record.summary.columns for record in group.records)
     further = (*(_FAIRNESS if fair else ()), *_DEFAULT[2:3], *((_BYSTANDERS,) if windows else ()), *_DEFAULT[3:])
+    names = {name for record in group.records for row in record.rows if row.scores for name in row.scores.further}
+    further = (*further, *((name, name, "", True) for name in sorted(names)))
     measured = (*_DEFAULT[:2], *further) if own else _neuroncap_columns(group.records)
     published = any(record.summary.published is not None for record in group.records)
     columns = [
@@ -270,7 +275,8 @@ def _table(group: ComparableDrives) -> Table:
     ]
     own_notes = (_NOTE_CONTACT + _NOTE_STOP_ON[first.measured.until], _NOTE_SCORES)
     notes = (*(own_notes if own else _NOTES_NEURONCAP), *([_PUBLISHED_NOTE] if published else ()))
-    notes = (*notes, *([_NOTE_FAIRNESS] if fair else []), _FAILED_NOTE, *group.notes)
+    also = [_NOTE_FURTHER.format(", ".join(sorted(names)))] if names else []
+    notes = (*notes, *([_NOTE_FAIRNESS] if fair else []), *also, _FAILED_NOTE, *group.notes)
     rows = [_values(row, {name: unit for name, _, unit, _ in measured}) for row in group.rows]
     brief = (*_BRIEF, *_BRIEF_OF_WINDOWS[: 2 * windows]) if own else [column.key for column in columns]
     failed = [_FAILED_NOTE] if any(record.summary.failed for record in group.records) else []
