@@ -19,6 +19,7 @@ from benchmark.extensions.alpasim.cameras import encode_camera
 from benchmark.extensions.alpasim.connection import CONTRACT, EgodriverConnection
 from benchmark.extensions.alpasim.messages import build_message
 from benchmark.extensions.alpasim.poses import (
+    EXTENSION_M,
     SECOND_US,
     LocalFrame,
     Poses,
@@ -33,6 +34,7 @@ from benchmark.machine.address import ALIVE_S, DEADLINE_S, RETURN_S, Address, pa
 from benchmark.machine.extension import require_extra
 from benchmark.planning import (
     AnswerNote,
+    EgoState,
     ModelFailedError,
     Observation,
     Plan,
@@ -93,13 +95,13 @@ class EgodriverPlanner:
             raise ValueError("no ride was given for this sample")
         if not observation.views:
             raise InputError(
-                f"scene {observation.scene} has no images at {observation.timestamp_us}; drive with --sensor schematic, "
-                "or use a data set with images"
+                f"scene {observation.scene} has no images at {observation.timestamp_us}; drive with --sensor "
+                "schematic, or use a data set with images"
             )
         if self._session is None:
             self._session = self._start(ride, observation)
         session = self._session
-        submits = [*self._encode_images(session, observation), *session.observe(ride, observation)]
+        submits = [*self._encode_images(session, observation), *session.observe(ride, observation.ego)]
         self._connection.call_together(submits)
         now = session.now
         answer = self._connection.call("drive", session.encode_drive())
@@ -190,21 +192,20 @@ class EgodriverPlanner:
 class Session:
     """What one session sends: poses in its frame, the route, and times."""
 
-    def __init__(self, ride: Ride) -> None:
-        """The frame begins at the first pose that is known."""
+    def __init__(self, ride: Ride, frame: LocalFrame | None = None, extension_m: float = EXTENSION_M) -> None:
+        """The frame begins at the first pose that is known; the path goes on straight for so many metres."""
         self.uuid = str(uuid.uuid4())
-        self.frame = LocalFrame(ride.position[0].copy(), int(ride.times_us[0]))
-        self.path = thin_path(ride.path - self.frame.origin)
+        self.frame = frame or LocalFrame(ride.position[0].copy(), int(ride.times_us[0]))
+        self.path = thin_path(ride.path - self.frame.origin, extension_m)
         self.now = self.frame.to_local(Poses(ride.times_us[-1:], ride.position[-1:], ride.rotation[-1:]))
         self._last_us = 0
         self._drives = False
 
-    def observe(self, ride: Ride, observation: Observation) -> list[tuple[str, Any]]:
+    def observe(self, ride: Ride, ego: EgoState) -> list[tuple[str, Any]]:
         """Egomotion that is new, all of it at first, and the route."""
         poses = self.frame.to_local(Poses(ride.times_us, ride.position, ride.rotation))
         velocity, rate = derive_states(poses)
         acceleration = np.zeros_like(velocity)
-        ego = observation.ego
         velocity[-1], rate[-1] = [*ego.velocity, 0.0], [0.0, 0.0, ego.yaw_rate]
         acceleration[-1, :2] = ego.acceleration
         new = slice(int(np.searchsorted(poses.times_us, self._last_us, side="right")), None)
