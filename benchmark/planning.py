@@ -329,6 +329,7 @@ class Ride:
         rotation: (F, 4) quaternions.
         path: (P, 3) where the recorded car went, from the beginning of the scene to its end.
         recorded_us: Until when the car is where it was recorded.
+        step_us: Until the next plan is asked for.
     """
 
     times_us: NDArray[np.int64]
@@ -336,6 +337,7 @@ class Ride:
     rotation: Floats
     path: Floats
     recorded_us: int
+    step_us: int = 500_000
 
 
 @dataclass(frozen=True, slots=True)

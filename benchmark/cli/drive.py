@@ -91,6 +91,10 @@ class DriveOptions:
         Option("adversary: expects that the ego drives its plan, keeps its motion, or stays.", "Search"),
     ] = "motion"
     latency: Annotated[int, Option("Delay before a plan takes effect, ms.", "Search", min=0)] = 0
+    plan_hz: Annotated[
+        Literal["2", "10"],
+        Option("How often planners are asked in a second; policies are trained for theirs.", "Search"),
+    ] = "2"
     until: Annotated[
         Literal["contact", "fault"],
         Option("What ends a drive: any contact, or one that is the ego's fault (others who touch it go).", "Search"),
@@ -265,6 +269,7 @@ def _settings(
         adversarial=adversarial,
         adversary_every_s=options.adversary_every,
         latency_ms=options.latency,
+        plan_hz=int(options.plan_hz),
         timeout_s=options.timeout,
         scenes=scenes,
         executor=place,

@@ -261,4 +261,14 @@ def _make_episode_spec(data: "DataSet", task: EpisodeTask, cans: dict[str, Recor
     if unit.scene not in cans:
         cans[unit.scene] = read_recorded_can(data, unit.scene)
     can = cans[unit.scene]
-    return EpisodeSpec(scene, can, unit.run, job.maker_of(unit), job.sensor, job.timeout_s, unit.family, meter=Meter())
+    return EpisodeSpec(
+        scene,
+        can,
+        unit.run,
+        job.maker_of(unit),
+        job.sensor,
+        job.timeout_s,
+        unit.family,
+        meter=Meter(),
+        plan_hz=job.measured.plan_hz,
+    )

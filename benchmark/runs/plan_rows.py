@@ -88,14 +88,14 @@ def end_session_after(planner: Planner) -> Iterator[None]:
             planner.end_session()
 
 
-def build_ride(scene: Scene, path: Floats, last: int, recorded_us: int | None = None) -> Ride:
+def build_ride(scene: Scene, path: Floats, last: int, recorded_us: int | None = None, step_us: int = 500_000) -> Ride:
     """The motion up to a frame of a scene, and the (P, 3) path of the recording.
 
     The scene is as it was recorded, or driven since ``recorded_us``.
     """
     past, times_us = slice(last + 1), scene.timestamps_us
     until = int(times_us[last]) if recorded_us is None else recorded_us
-    return Ride(times_us[past], scene.ego.position[past], scene.ego.rotation[past], path, until)
+    return Ride(times_us[past], scene.ego.position[past], scene.ego.rotation[past], path, until, step_us)
 
 
 class PlannerFactory(Protocol):

@@ -91,6 +91,8 @@ def repeat_search(maker: SimulatorBackend, scene: Scene, data: "DataSet", row: E
 
 def redrive(stage: EpisodeSpec, row: EpisodeRow, plans: "StoredPlans") -> Episode:
     """Drive stored plans on a stage; arguments and errors as of `redrive_with_sensor`."""
+    if row.between:
+        stage = replace(stage, plan_hz=10)
     if row.terminated:
         stage = replace(stage, most_plans=len(row.plans))
     episode = run_episode(stage, plans)
@@ -114,7 +116,9 @@ class StoredPlans:
     name = "stored plans"
 
     def __init__(self, row: EpisodeRow) -> None:
-        self._plans = [Plan(np.array(plan.waypoints, np.float64), PlanFrame(plan.frame)) for plan in row.plans]
+        between = [*row.between, *[[]] * len(row.plans)]
+        stored = [plan for first, others in zip(row.plans, between) for plan in (first, *others)]
+        self._plans = [Plan(np.array(plan.waypoints, np.float64), PlanFrame(plan.frame)) for plan in stored]
         self._next = 0
 
     def reset(self, scene: SceneInfo) -> None:

@@ -35,7 +35,7 @@ def read_answer(message: Any, now: Poses) -> tuple[Plan, AnswerNote]:
     """
     waypoints, reach_s = _interpolate(decode_trajectory(message.trajectory), now)
     steps = min(max(int((reach_s + 1e-6) / PLAN_STEP_S), PLAN_STEPS), LONGEST_PLAN_STEPS)
-    notes = [] if reach_s + 1e-6 >= PLAN_STEPS * PLAN_STEP_S else [f"ends after {reach_s:.3g} s, last pose held"]
+    notes = [] if reach_s + 1e-6 >= PLAN_STEPS * PLAN_STEP_S else [f"ends after {reach_s:.1f} s, last pose held"]
     notes += ["terminate_session"] if message.terminate_session else []
     modes = []
     for sampled in message.debug_info.sampled_trajectories[:_MODES]:

@@ -104,7 +104,7 @@ class EgodriverPlanner:
         submits = [*self._encode_images(session, observation), *session.observe(ride, observation.ego)]
         self._connection.call_together(submits)
         now = session.now
-        answer = self._connection.call("drive", session.encode_drive())
+        answer = self._connection.call("drive", session.encode_drive(ride.step_us))
         begun = session.describe_beginning(ride)
         try:
             plan, note = read_answer(answer, now)
@@ -232,7 +232,7 @@ class Session:
         primed_s = (ride.recorded_us - int(ride.times_us[0])) / SECOND_US
         return f"began with {primed_s:.1f} s of recorded motion, not {PRIMED_S} s" if primed_s < PRIMED_S else ""
 
-    def encode_drive(self, step_us: int = SECOND_US // 2) -> Any:
+    def encode_drive(self, step_us: int) -> Any:
         """The question for a plan now."""
         return build_message(
             "DriveRequest",
