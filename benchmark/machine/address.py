@@ -10,6 +10,7 @@ from benchmark.untrusted.files import to_one_line
 
 _ADDRESS: Final = re.compile(r"(?:[^=]*=)?(https?|grpcs?):/", re.IGNORECASE)
 _LONGEST_NAME: Final = 60
+SCHEMES: Final = ("http", "grpc")
 DEADLINE_S: Final = 120.0
 """Of one request to a planner elsewhere."""
 ALIVE_S: Final = 30.0
@@ -34,7 +35,7 @@ class Address:
     def of(cls, text: str, option: str, schemes: tuple[str, ...] = ("http",)) -> Self:
         """Read an address of some schemes as the user gave it; anything beside name, host and port is refused."""
         name, equals, url = text.rpartition("=") if "=" in text.partition("://")[0] else ("", "", text)
-        known = f"{schemes[0]}://HOST:PORT"
+        known = " or ".join(f"{scheme}://HOST:PORT" for scheme in schemes)
         form = f"{option} {to_one_line(text, 80)!r} is not an address; write {known} or NAME={known}"
         try:
             parts = urlsplit(url)
