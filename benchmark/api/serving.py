@@ -81,14 +81,14 @@ def serve_planner(
         else:
             built = build_planner(runs, checkpoint=checkpoint, seed=seed, device=device, precision=precision)
         disable_malloc_trim_for(getattr(built, "weights_sha256", None))
-        _require_servable(built)
+        require_servable(built)
         return built
 
     own["wants_images"] = runs in MODELS and not MODELS[runs].blind
     return found.make(build, *found.find_address(host, port), seed=seed, **own)
 
 
-def _require_servable(planner: "Planner") -> None:
+def require_servable(planner: "Planner") -> None:
     """Refuse planners that want what no request carries, or remember beyond a scene."""
     from benchmark.closed_loop.route import RouteFollower
     from benchmark.planning import PrivilegedPlanner, remembers_across_scenes

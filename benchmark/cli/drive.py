@@ -287,6 +287,11 @@ def _require_engine(options: DriveOptions) -> None:
             )
         if latency:
             raise InputError(f"{engine} does not simulate latency; leave --latency out or use --engine default")
+        if options.plan_hz != "2":
+            raise InputError(
+                f"planners are asked every half second in {engine}; leave --plan-hz {options.plan_hz} out or use "
+                "--engine default"
+            )
         if options.until != "contact":
             raise InputError(
                 f"every collision ends a run of {engine}; leave --until {options.until} out or use --engine default"

@@ -35,8 +35,9 @@ from benchmark.scene import Scene
 from generation.render.schematic import FIRST, SECOND, SchematicRenderer
 from generation.render.sensor import SchematicSensor
 from generation.sources.town import build_town_scene
+from tests.benchmark.closed_loop.seeing import Looking
 from tests.benchmark.closed_loop.staged import staged
-from tests.benchmark.extensions.http.made import Looking, serving
+from tests.benchmark.extensions.http.made import serving
 from tests.hand_made import scene_on_straight_road
 
 STEPS = 38

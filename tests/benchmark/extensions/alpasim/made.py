@@ -18,8 +18,8 @@ from benchmark.extensions.alpasim.session import EgodriverService
 from benchmark.geometry import quaternion_from_yaw, rotation_matrix
 from benchmark.planning import Planner
 from benchmark.untrusted.files import GRPC_PICTURE
+from tests.benchmark.closed_loop.seeing import Painted
 from tests.benchmark.closed_loop.staged import staged
-from tests.benchmark.extensions.http.made import Painted
 from tests.hand_made import scene_on_straight_road
 
 Answer = Callable[["Scripted", Any], Any]

@@ -7,7 +7,7 @@ import pytest
 
 from benchmark.extensions.alpasim.cameras import RemoteCamera, encode_camera
 from benchmark.extensions.alpasim.messages import build_message
-from tests.benchmark.extensions.http.made import small_cameras
+from tests.benchmark.closed_loop.seeing import small_cameras
 
 SIZE = (480, 320)
 FTHETA = {

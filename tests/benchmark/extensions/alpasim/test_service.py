@@ -19,8 +19,8 @@ from benchmark.extensions.alpasim.session import CallRefusedError, EgodriverServ
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from benchmark.untrusted.files import GRPC_PICTURE
 from benchmark.untrusted.http_images import encode_picture
+from tests.benchmark.closed_loop.seeing import Looking, picture, small_cameras
 from tests.benchmark.extensions.alpasim.made import on_stage, serving, straight
-from tests.benchmark.extensions.http.made import Looking, picture, small_cameras
 
 
 class Turning:
