@@ -17,7 +17,7 @@ def find_serving_protocol(name: str) -> "ServingProtocol":
     """A protocol by its name; `InputError` where its extension or its packages are not installed."""
     from benchmark.machine.extension import import_from_extension, require_extra
 
-    protocol: ServingProtocol = import_from_extension("protocol", name)
+    protocol: ServingProtocol = import_from_extension("protocol", name)()
     for package in protocol.packages:
         require_extra(package, "serving", protocol.extra)
     return protocol

@@ -50,10 +50,10 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "http": "benchmark.extensions.http.model:http_planner",
         "grpc": "benchmark.extensions.alpasim.model:egodriver_planner",
     },
-    # A `benchmark.machine.listening.ServingProtocol` of ``serve``.
+    # From nothing to a `benchmark.machine.listening.ServingProtocol` of ``serve``.
     "protocol": {
-        "neuroncap": "benchmark.extensions.http:NEURONCAP",
-        "alpasim": "benchmark.extensions.alpasim:ALPASIM",
+        "neuroncap": "benchmark.extensions.http:describe_protocol",
+        "alpasim": "benchmark.extensions.alpasim:describe_protocol",
     },
     "sensor": {"http": "benchmark.extensions.http.sensor:HttpSensor"},
     # From the options of ``generate`` and its own to a `generation.render.contract.RendererSource`.

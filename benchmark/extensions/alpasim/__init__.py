@@ -20,4 +20,6 @@ def _find_address(host: str | None, port: int | None) -> tuple[str, int]:
     return find_address(host, port)
 
 
-ALPASIM = ServingProtocol(_make, "sessions side by side", ("grpc", "google.protobuf"), "alpasim", _find_address)
+def describe_protocol() -> ServingProtocol:
+    """AlpaSim's egodriver contract, for ``serve``."""
+    return ServingProtocol(_make, "sessions side by side", ("grpc", "google.protobuf"), "alpasim", _find_address)

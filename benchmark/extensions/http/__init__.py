@@ -15,4 +15,6 @@ def _make(*given: Any, **options: Any) -> Any:
     return make_planner_server(*given, **options)
 
 
-NEURONCAP = ServingProtocol(_make, "one scene at a time", ("uvicorn", "starlette"), "serve")
+def describe_protocol() -> ServingProtocol:
+    """NeuroNCAP's protocol, for ``serve``."""
+    return ServingProtocol(_make, "one scene at a time", ("uvicorn", "starlette"), "serve")
