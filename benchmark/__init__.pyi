@@ -61,6 +61,7 @@ from benchmark.errors import InputError as InputError
 from benchmark.evaluation import EvalSettings as EvalSettings
 from benchmark.evaluation import evaluate as evaluate
 from benchmark.evaluation import plan_shard as plan_shard
+from benchmark.extensions.alpasim_table.table import build_alpasim_table as build_alpasim_table
 from benchmark.extensions.cards.data_card import write_data_card as write_data_card
 from benchmark.extensions.cards.records_card import write_records_card as write_records_card
 from benchmark.extensions.cards.writing import CardSettings as CardSettings

@@ -25,6 +25,7 @@ class VerifyOptions:
             "pdm",
             "neuroncap",
             "alpasim",
+            "ability",
             "infos",
             "results",
             "drivers",

@@ -197,7 +197,7 @@ def _compute_values(row: EpisodeRow) -> dict[str, float | None]:
         values[f"nuplan_{name}"] = None if terms is None else getattr(terms, name)
     for name in ("score", "plans", "completed"):
         values[f"hd_{name}"] = None if hd is None else getattr(hd, name)
-    return values | {name: parts["score"] for name, parts in scores.further.items()}
+    return values | {name: parts.get("score") for name, parts in scores.further.items()}
 
 
 def summarise_episodes(

@@ -30,6 +30,7 @@ BEFORE = {
         "eval --split adv --model vad-mini --model idm --model uniad",
         "drive --split adv --model vad-mini --sensor schematic",
     ],
+    "alpasim_score.md": ["drive --split val --model constant-velocity --no-baselines"],
     "cards.md": ["eval --split val --model constant-velocity"],
     "challenge.md": ["eval --split val --model constant-velocity"],
     "publishing.md": ["eval --split adv --model constant-velocity", "leaderboard"],

@@ -81,17 +81,19 @@ def compute_alpasim_results(record: DriveRecord, rules: str) -> AlpasimResults |
     ratios = [_list_ratios(parts) for _, parts in scored]
     sums = np.array([list(of_drive.values()) for of_drive in ratios])
     found = compute_ratios_over_scenes(sums[..., 0], sums[..., 1], sources, seed=record.facts.seed)
-    unmapped = sum(parts["off_road"] is None for _, parts in scored)
+    unmapped = sum(parts.get("off_road") is None for _, parts in scored)
     return AlpasimResults(dict(zip(ratios[0], found, strict=True)), len(scored), unmapped)
 
 
 def _list_ratios(parts: Mapping[str, float | None]) -> dict[str, tuple[float, float]]:
     """What a drive adds to the numerator and the denominator of each number; nothing where it says nothing."""
-    front, lateral, rear, off_road, km = (parts[name] or 0.0 for name in ("front", "lateral", "rear", "off_road", "km"))
+    front, lateral, rear, off_road, km = (
+        parts.get(name) or 0.0 for name in ("front", "lateral", "rear", "off_road", "km")
+    )
     at_fault = max(front, lateral)
     values = {**parts, "at_fault": at_fault}
     means = {
-        head: (value or 0.0, float(value is not None)) for head, part in _MEANS.items() for value in [values[part]]
+        head: (value or 0.0, float(value is not None)) for head, part in _MEANS.items() for value in [values.get(part)]
     }
     incidents = (max(at_fault, rear, off_road), max(at_fault, off_road))
     return means | {head: (km, happened) for head, happened in zip(_KILOMETRES, incidents, strict=True)}
