@@ -306,6 +306,12 @@ class _PlannerInterface:
                 until = int(ride.motion.times_us[ride.motion.ticks[: ride.primed][-1]])
                 last, step_us = len(driven.timestamps_us) - 1, 1_000_000 // self.plan_hz
                 planner.take_ride(build_ride(driven, self.scene.ego.position, last, until, step_us))
+            if reveals:
+                failure = notify_planner(
+                    planner, lambda: cast(PrivilegedPlanner, planner).reveal(driven), self.timeout_s
+                )
+                if failure is not None:
+                    return failure
             views = self.look.views(driven)
         observation = self.observer.observation(ride.motion, views, command, ride.can)
         return request_plan(planner, observation, self.timeout_s, self.meter)
