@@ -85,7 +85,8 @@ def serve_planner(
         return built
 
     own["wants_images"] = runs in MODELS and not MODELS[runs].blind
-    return found.make(build, *found.find_address(host, port), seed=seed, **own)
+    server: PlannerService = found.make(build, *found.find_address(host, port), seed=seed, **own)
+    return server
 
 
 def require_servable(planner: "Planner") -> None:

@@ -118,11 +118,11 @@ class RemoteCamera:
         """Distances from the principal point, in pixels of the native size, of angles from the axis."""
         forward, back = list(self.spec.angle_to_pixeldist_poly), list(self.spec.pixeldist_to_angle_poly)
         if forward and not (self.spec.reference_poly == _FROM_PIXELS and back):
-            return np.asarray(np.polynomial.polynomial.polyval(angle, forward))
+            return np.asarray(np.polyval(forward[::-1], angle))
         if not back:
             raise ValueError("has no polynomial")
         distance = np.linspace(0.0, float(np.hypot(self.width, self.height)), 4096)
-        return np.interp(angle, np.maximum.accumulate(np.polynomial.polynomial.polyval(distance, back)), distance)
+        return np.interp(angle, np.maximum.accumulate(np.polyval(back[::-1], distance)), distance)
 
     def source_pixels(self, width: int, height: int, intrinsic: Floats) -> tuple[Any, Any]:
         """(height, width) columns and rows in its picture of the pixels of a pinhole."""

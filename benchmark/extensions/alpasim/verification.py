@@ -80,7 +80,7 @@ def _read_calls(path: Path) -> list[_Call]:
     told = [json.loads(line) for line in lines]
     if len(parts) != 2 * len(told):
         raise ValueError(f"{path.name} has {len(parts)} messages of {len(told)} calls")
-    return [_Call(call["method"], *parts[2 * at : 2 * at + 2], call) for at, call in enumerate(told)]
+    return [_Call(call["method"], parts[2 * at], parts[2 * at + 1], call) for at, call in enumerate(told)]
 
 
 def _compare_messages(comparison: Comparison, folder: GoldenFolder) -> None:
@@ -114,7 +114,7 @@ def _same(value: Any, text: Any) -> bool:
     if hasattr(value, "ListFields"):
         return isinstance(text, Mapping) and _agrees(value, text)
     if isinstance(value, bytes):
-        return len(value) == text["bytes"] and value[:8].hex() == text["begins"]
+        return bool(len(value) == text["bytes"] and value[:8].hex() == text["begins"])
     if isinstance(value, bool | str):
         return bool(value == text)
     if isinstance(text, list):
@@ -197,10 +197,9 @@ def _compare_rollout(comparison: Comparison, metadata: Any, recorded: Poses, cal
     for number, (request, route) in enumerate(zip(told["drive"], told["submit_route"], strict=True)):
         seen = batches[: number + 1]
         ride = Ride(
-            *(
-                np.concatenate([getattr(batch, name) for batch in seen])
-                for name in ("times_us", "position", "rotation")
-            ),
+            np.concatenate([batch.times_us for batch in seen]),
+            np.concatenate([batch.position for batch in seen]),
+            np.concatenate([batch.rotation for batch in seen]),
             recorded.position,
             int(recorded.times_us[-1]),
         )

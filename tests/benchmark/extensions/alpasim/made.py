@@ -68,7 +68,7 @@ def scripted(**answers: Answer) -> Iterator[Scripted]:
     """A policy that answers calls as functions say, and all others as is usual; `None` hangs."""
     log = Scripted()
 
-    class Calls(grpc.GenericRpcHandler):
+    class Calls(grpc.GenericRpcHandler):  # type: ignore[misc, unused-ignore]
         def service(self, details: Any) -> Any:
             name = details.method.removeprefix(EGODRIVER)
 

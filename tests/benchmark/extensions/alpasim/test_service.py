@@ -46,7 +46,12 @@ class Caller:
 
     def __init__(self, build: Callable[[], Any] = Turning, **options: Any) -> None:
         self.built: list[Any] = []
-        self.service = EgodriverService(lambda: self.built.append(build()) or self.built[-1], cameras={}, **options)
+
+        def keep() -> Any:
+            self.built.append(build())
+            return self.built[-1]
+
+        self.service = EgodriverService(keep, cameras={}, **options)
 
     def call(self, name: str, message: str, metadata: dict[str, str] | None = None, **fields: Any) -> Any:
         data = encode_message(build_message(message, **fields))
@@ -67,8 +72,10 @@ class Caller:
         )
 
     def drive(self, now_us: int, uuid: str = "a") -> Poses:
-        asked = {"time_now_us": now_us, "time_query_us": now_us + 100_000}
-        return decode_trajectory(self.call("drive", "DriveRequest", session_uuid=uuid, **asked).trajectory)
+        answer = self.call(
+            "drive", "DriveRequest", session_uuid=uuid, time_now_us=now_us, time_query_us=now_us + 100_000
+        )
+        return decode_trajectory(answer.trajectory)
 
 
 def refusal(work: Callable[[], Any]) -> str:
