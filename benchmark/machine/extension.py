@@ -249,5 +249,10 @@ def require_extra(module: str, what: str, extra: str) -> None:
 
 def require_package(module: str, sentence: str) -> None:
     """Raise `InputError` with a sentence where an optional package is not installed; nothing is imported."""
-    if importlib.util.find_spec(module) is None:
+    try:
+        found = importlib.util.find_spec(module)
+    except ModuleNotFoundError:
+        # Of a package that it is in.
+        found = None
+    if found is None:
         raise InputError(sentence)

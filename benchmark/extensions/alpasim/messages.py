@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any, Final
 
+from benchmark.machine.extension import require_extra
 from benchmark.untrusted.files import Limits
 from benchmark.untrusted.protobuf_messages import require_message
 
@@ -124,6 +125,7 @@ def _fields() -> dict[str, list[tuple[str, int, str, bool]]]:
 @cache
 def _classes() -> dict[str, Any]:
     """The message classes, in a pool of their own: other code may have AlpaSim's in protobuf's."""
+    require_extra("google.protobuf", "reading AlpaSim's messages", "alpasim")
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
     file = descriptor_pb2.FileDescriptorProto(name="challenger_bench/alpasim.proto", package=_PACKAGE, syntax="proto3")

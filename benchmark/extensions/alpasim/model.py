@@ -132,7 +132,8 @@ class EgodriverPlanner:
 
     def require_alive(self) -> None:
         """Refuse an address at which no egodriver service listens."""
-        require_extra("grpc", "asking over gRPC", "alpasim")
+        for package in ("grpc", "google.protobuf"):
+            require_extra(package, "asking over gRPC", "alpasim")
         try:
             self._connection.wait(ALIVE_S)
             self._negotiate()
