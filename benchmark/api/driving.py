@@ -51,6 +51,7 @@ def drive_settings(
     limit: int | None = None,
     executor: "Executor | None" = None,
     timeout_s: float = 120.0,
+    plan_hz: int = 2,
     seed: int = 0,
     adversarial: bool | None = None,
 ) -> "DriveSettings":
@@ -89,6 +90,7 @@ def drive_settings(
         limit: Only the first so many.
         executor: Where drives are made; this process by default.
         timeout_s: How long a plan may take.
+        plan_hz: How often planners are asked in a second: 2, as nuScenes' are trained, or 10, in the default engine.
         seed: Of the intervals.
         adversarial: Whether scenes have adversaries; by the split's name by default.
 
@@ -108,6 +110,8 @@ def drive_settings(
     from benchmark.records.seed_splits import is_adversarial
     from benchmark.runs.driving import DriveSettings
 
+    if plan_hz not in (2, 10) or (plan_hz != 2 and engine != ENGINE):
+        raise InputError(f"--plan-hz {plan_hz} needs --engine default, and is 2 or 10; leave it out")
     adversarial = is_adversarial(split) if adversarial is None else adversarial
     agents, window = choose_world(engine, agents, window, adversarial=adversarial)
     drivers = [driver.value for driver in REFERENCE_DRIVER_KINDS]
@@ -145,6 +149,7 @@ def drive_settings(
         limit=limit,
         executor=executor or LocalProcesses(),
         timeout_s=timeout_s,
+        plan_hz=plan_hz,
         seed=seed,
         window=window,
     )

@@ -26,6 +26,7 @@ from benchmark.cli import (
     models,
     packages,
     rescoring,
+    serve,
     show,
     verify,
     weights,
@@ -192,7 +193,7 @@ add_command_of_extension("film", _GROUPS)
 add_command(app, "rescore", rescoring.rescore_command)
 add_command(app, "ablate", ablate.ablate_command)
 add_command_of_extension("reproduce", _GROUPS)
-add_command_of_extension("serve", _GROUPS)
+add_command(app, "serve", serve.serve_command)
 add_command(app, "verify", verify.verify_command)
 add_command(app, "doctor", verify.doctor_command)
 add_commands_of_others(_GROUPS)

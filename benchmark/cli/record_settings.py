@@ -48,6 +48,7 @@ def read_drive_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
         "engine": measured["engine"],
         "agents": measured["agents"],
         "window": measured.get("window", "scene"),
+        "plan_hz": str(measured.get("plan_hz", 2)),
         "sensor": sensor if sensor in ("none", "schematic") else None,
         "latency": measured.get("latency_ms"),
         "scenarios": scenario_facts.get("file", measured.get("scenarios")),

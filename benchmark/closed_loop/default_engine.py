@@ -23,7 +23,13 @@ from benchmark.closed_loop.simulation_state import (
     require_enough_keyframes,
 )
 from benchmark.closed_loop.stepping import InfeasiblePlanError as UndrivableWaypointsError
-from benchmark.closed_loop.stepping import begin_simulation, is_running, require_drivable, step_together
+from benchmark.closed_loop.stepping import (
+    begin_simulation,
+    is_running,
+    require_drivable,
+    step_replanning,
+    step_together,
+)
 from benchmark.closed_loop.world_state import SimulationConfig, StepTrace, WorldState
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
@@ -50,6 +56,8 @@ def to_ego_columns(ego: Ego) -> Floats:
     return np.array([ego.x, ego.y, ego.yaw, ego.speed, ego.acceleration, ego.yaw_rate, ego.steering])
 
 
+_JITTER_US: Final = 20_000
+"""Of frames of a recording."""
 PRIMING_STEPS: Final = 2
 """Steps in which the ego is the recorded one, so that a planner with a memory has one (NeuroNCAP primes as long)."""
 
@@ -116,6 +124,12 @@ class DefaultBackend:
     ) -> list[SimulationState | RejectedPlanError]:
         """Half a second of several rides; those past priming are stepped together."""
         return [*_advance_together([cast(DefaultSimulationState, ride) for ride in rides], plans)]
+
+    def advance_replanning(
+        self, ride: SimulationState, plan: Plan, replan: Callable[[SimulationState], Plan]
+    ) -> SimulationState | RejectedPlanError:
+        """As of `benchmark.closed_loop.simulation_state.ReplanningBackend`."""
+        return cast(DefaultSimulationState, ride).advance_replanning(plan, replan)
 
     def begin(self, scene: Scene, run: int, can: RecordedCan, family: str = "") -> "DefaultSimulationState":
         """The ride at its first planning instant; refuses too short scenes, and unknown policies or latencies."""
@@ -230,6 +244,30 @@ class DefaultSimulationState:
         frames = self.scene.keyframes
         later = build_recorded_motion(self.scene, int(frames[ticks - 1]) + 1, int(frames[ticks]))
         return replace(self, motion=self.motion.then(later))
+
+    def advance_replanning(
+        self, plan: Plan, replan: Callable[[SimulationState], Plan]
+    ) -> "DefaultSimulationState | RejectedPlanError":
+        """As of `DefaultBackend.advance_replanning`."""
+        if (primed := self.advance_primed()) is not None:
+            first, last = (int(frame) for frame in self.scene.keyframes[len(self.motion.ticks) - 1 :][:2])
+            asked_us = int(self.scene.timestamps_us[first])
+            for frame in range(first + 1, last):
+                now_us = int(self.scene.timestamps_us[frame])
+                if min(now_us - asked_us, int(self.scene.timestamps_us[last]) - now_us) >= SUBSTEP_US - _JITTER_US:
+                    asked_us = now_us
+                    replan(replace(self, motion=self.motion.then(build_recorded_motion(self.scene, first + 1, frame))))
+            return primed
+        ahead_m = float(self.scene.lidar.translation[0])
+
+        def replan_waypoints(here: WorldState) -> Floats:
+            return compute_rear_axle_waypoints(replan(self.with_world(here)), ahead_m)
+
+        try:
+            waypoints = compute_rear_axle_waypoints(plan, ahead_m)
+            return self.with_world(step_replanning(self.course, self.world, waypoints, replan_waypoints))
+        except UndrivableWaypointsError as error:
+            return RejectedPlanError(str(error))
 
     def with_world(self, world: WorldState) -> "DefaultSimulationState":
         """In the world half a second later."""

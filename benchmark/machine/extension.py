@@ -27,7 +27,6 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "data export mcap": "benchmark.extensions.mcap.cli:export_mcap_command",
         "data export infos": "benchmark.extensions.infos.cli:export_infos_command",
         "film": "leaderboard.extensions.films.cli:film_command",
-        "serve": "benchmark.extensions.http.cli:serve_command",
         "quality": "benchmark.extensions.quality.cli:quality_command",
         "reproduce": "benchmark.extensions.reproduce.cli:reproduce_command",
         "data review": "benchmark.extensions.review.cli:data_review_command",
@@ -48,13 +47,26 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     # A `benchmark.planning.Planner` by name, with its options.
     "planner": {},
     # From an address to a planner, and to a `closed_loop.sensors.Sensor`; by scheme.
-    "planner scheme": {"http": "benchmark.extensions.http.model:http_planner"},
+    "planner scheme": {
+        "http": "benchmark.extensions.http.model:http_planner",
+        "grpc": "benchmark.extensions.alpasim.model:egodriver_planner",
+    },
+    # From nothing to a `benchmark.machine.listening.ServingProtocol` of ``serve``.
+    "protocol": {
+        "neuroncap": "benchmark.extensions.http:describe_protocol",
+        "alpasim": "benchmark.extensions.alpasim:describe_protocol",
+    },
     "sensor": {"http": "benchmark.extensions.http.sensor:HttpSensor"},
     # From the options of ``generate`` and its own to a `generation.render.contract.RendererSource`.
     "renderer": {"magicdrive": "generation.extensions.magicdrive.cli:read_photorealistic_options"},
     # A dataclass of settings (`benchmark.cli.settings`) by kind and name of what it is for: ``renderer NAME`` adds to
-    # ``generate``, ``planner NAME`` to ``eval`` and ``drive``. The values are given as keyword arguments.
-    "options": {},
+    # ``generate``, ``planner NAME`` (or its scheme) to ``eval`` and ``drive``, ``protocol NAME`` to ``serve``. The
+    # values are given as keyword arguments.
+    "options": {
+        "planner grpc": "benchmark.extensions.alpasim.cli:EgodriverOptions",
+        "protocol neuroncap": "benchmark.extensions.http.cli:NeuroncapServeOptions",
+        "protocol alpasim": "benchmark.extensions.alpasim.cli:AlpasimServeOptions",
+    },
     # Pictures of scenes for ``data show``.
     "pictures": {"conditions": "generation.extensions.magicdrive.condition_pictures:write_condition_pictures"},
     # From records of a kind to `leaderboard.page.sections.Section`, in the order of the page.
@@ -91,6 +103,9 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "infos": "benchmark.extensions.infos.verification:GOLDEN",
         "hub": "benchmark.extensions.cards.hub_verification:GOLDEN",
         "neuroncap": "benchmark.extensions.neuroncap.verification:GOLDEN",
+        "alpasim sessions": "benchmark.extensions.alpasim.verification:SESSIONS",
+        "alpasim traffic": "benchmark.extensions.alpasim.verification:TRAFFIC",
+        "alpasim reactions": "benchmark.extensions.alpasim.verification:REACTIONS",
         "ability alpasim": "benchmark.extensions.alpasim_table.verification:GOLDEN",
         "ability alpasim-refused": "benchmark.extensions.alpasim_table.verification:REFUSED",
         "alpasim score": "benchmark.extensions.alpasim_score.verification:GOLDEN",
@@ -226,7 +241,18 @@ def import_reference(reference: str) -> Any:
         raise make_absent_error(name) from None
 
 
+def require_extra(module: str, what: str, extra: str) -> None:
+    """Raise `InputError` where what is done needs an optional package of one of our extras; nothing is imported."""
+    advice = f"install it with: pip install 'challenger-bench[{extra}]'"
+    require_package(module, f"{what} needs the package {module}; {advice}")
+
+
 def require_package(module: str, sentence: str) -> None:
     """Raise `InputError` with a sentence where an optional package is not installed; nothing is imported."""
-    if importlib.util.find_spec(module) is None:
+    try:
+        found = importlib.util.find_spec(module)
+    except ModuleNotFoundError:
+        # Of a package that it is in.
+        found = None
+    if found is None:
         raise InputError(sentence)

@@ -46,6 +46,7 @@ class ClosedLoopDefinition(Stored):
         window: Part of each scene that was driven. Not written where it is all of it.
         windows_of: Of recordings that are driven as an adversarial split is: its name, and the hash of its windows. Not
             written of all others.
+        plan_hz: How often planners were asked in a second. Not written where it is 2.
     """
 
     engine: Name
@@ -59,11 +60,12 @@ class ClosedLoopDefinition(Stored):
     until: StopCondition = "contact"
     window: WindowName = "scene"
     windows_of: dict[str, str] = Field(default_factory=dict)
+    plan_hz: Literal[2, 10] = 2
 
     @model_serializer(mode="wrap")
     def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
         written = _without_empty(write(self), "agents_facts", "windows_of", "scenario_facts")
-        usual = (("until", "contact"), ("window", "scene"))
+        usual = (("until", "contact"), ("window", "scene"), ("plan_hz", 2))
         return {name: value for name, value in written.items() if (name, value) not in usual}
 
     @property
@@ -72,6 +74,7 @@ class ClosedLoopDefinition(Stored):
         facts = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in sorted(self.agents_facts.items()))
         agents = f", agents {self.agents}{f' ({facts})' if facts else ''}" if self.engine == "default" else ""
         late = f", latency {self.latency_ms} ms" if self.latency_ms else ""
+        late += f", plans at {self.plan_hz} Hz" if self.plan_hz != 2 else ""
         of = f"{' of' if self.window == 'encounter' else ', as'} {self.windows_of['split']}" if self.windows_of else ""
         window = f"{', window encounter' if self.window == 'encounter' else ''}{of}"
         return f"{self.engine}{self._scenarios}{agents}{late}{window}{f', until {self.rule}' if self.rule else ''}"
@@ -338,6 +341,9 @@ class EpisodeRow(Stored):
         window: Part of the scene that was driven around an encounter; not written of drives without one.
         ttc_s: Smallest time to collision of each half second driven in a window, null above 2.9 s; not written of all
             others.
+        between: Plans between two instants, of each, where the planner was asked more often; not written of all others.
+        notes: What was peculiar in the planner's answers, which were taken all the same; not written where nothing was.
+        terminated: Whether the planner ended the drive; not written where it did not.
     """
 
     scene: Name
@@ -357,10 +363,14 @@ class EpisodeRow(Stored):
     unlabelled: bool = False
     window: EncounterWindow | None = None
     ttc_s: list[NotNegative | None] = Field(default_factory=list)
+    between: list[list[EpisodePlan]] = Field(default_factory=list)
+    notes: list[str] = Field(default_factory=list)
+    terminated: bool = False
 
     @model_serializer(mode="wrap")
     def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return _without_empty(write(self), "adversary", "ladder", "passed", "unlabelled", "window", "ttc_s")
+        optional = ("adversary", "ladder", "passed", "unlabelled", "window", "ttc_s", "between", "notes", "terminated")
+        return _without_empty(write(self), *optional)
 
     @property
     def first_contact(self) -> ScoredContact | None:

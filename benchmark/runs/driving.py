@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 
 from benchmark.closed_loop.adversary import ADVERSARY
+from benchmark.closed_loop.episodes import USUAL_HZ
 from benchmark.closed_loop.observation_builder import RemoteSensor
 from benchmark.closed_loop.planner_calls import LONGEST_TIMEOUT_S
 from benchmark.closed_loop.scoring import VERSION
@@ -321,6 +322,7 @@ def drives_directory(
     parts += [f"{measured.latency_ms}ms"] if measured.latency_ms else []
     parts += [] if measured.window == "scene" else [measured.window]
     parts += ["as", *measured.windows_of.values()] if measured.windows_of else []
+    parts += [f"{measured.plan_hz}hz"] if measured.plan_hz != USUAL_HZ else []
     parts += measured.until_words
     parts += [
         content_key(facts)[:8]

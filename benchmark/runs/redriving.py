@@ -41,7 +41,8 @@ def redrive_and_score(maker: SimulatorBackend, scene: Scene, data: "DataSet", ro
     rescored_row = build_episode_row(
         stage, episode, None if episode.failure is not None else score_episode(scene, episode)
     )
-    rescored_row = rescored_row.model_copy(update={"ladder": row.ladder})
+    kept = {"ladder": row.ladder, "notes": row.notes, "terminated": row.terminated}
+    rescored_row = rescored_row.model_copy(update=kept)
     if (rescored_row.ticks, _without_fault(rescored_row)) != (row.ticks, _without_fault(row)):
         raise InputError(_format_mismatch(row))
     return rescored_row
@@ -95,6 +96,10 @@ def repeat_search(maker: SimulatorBackend, scene: Scene, data: "DataSet", row: E
 
 def redrive(stage: EpisodeSpec, row: EpisodeRow, plans: "StoredPlans") -> Episode:
     """Drive stored plans on a stage; arguments and errors as of `redrive_with_sensor`."""
+    if row.between:
+        stage = replace(stage, plan_hz=10)
+    if row.terminated:
+        stage = replace(stage, most_plans=len(row.plans))
     episode = run_episode(stage, plans)
     ticks = episode.motion.ticks
     states = np.round(episode.motion.ego[ticks], DECIMALS).tolist()
@@ -116,7 +121,9 @@ class StoredPlans:
     name = "stored plans"
 
     def __init__(self, row: EpisodeRow) -> None:
-        self._plans = [Plan(np.array(plan.waypoints, np.float64), PlanFrame(plan.frame)) for plan in row.plans]
+        between = [*row.between, *[[]] * len(row.plans)]
+        stored = [plan for first, others in zip(row.plans, between) for plan in (first, *others)]
+        self._plans = [Plan(np.array(plan.waypoints, np.float64), PlanFrame(plan.frame)) for plan in stored]
         self._next = 0
 
     def reset(self, scene: SceneInfo) -> None:

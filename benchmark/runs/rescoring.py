@@ -49,7 +49,7 @@ def require_vocabulary(counts: AnnotationCount, asked: Iterable[str], protocols:
         )
 
 
-_OF_THE_PLAN = {"scene", "sample_token", "index", "timestamp_us", "status", "ego_motion", "plan", "error"}
+_OF_THE_PLAN = {"scene", "sample_token", "index", "timestamp_us", "status", "ego_motion", "plan", "error", "note"}
 """Fields of a row about the planner, which rescoring keeps."""
 _OF_THE_VERDICTS = {"schema_version", "status", "protocols", "seed", "files"}
 """Fields of a record that are set when it is written."""

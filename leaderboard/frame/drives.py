@@ -170,6 +170,7 @@ def _name_groups(groups: Sequence[ComparableDrives]) -> list[ComparableDrives]:
         words += [f"{measured.latency_ms}ms"] if measured.latency_ms else []
         words += [] if measured.window == "scene" else [measured.window]
         words += ["as", measured.windows_of["split"]] if measured.windows_of else []
+        words += [f"{measured.plan_hz}hz"] if measured.plan_hz != 2 else []
         words += measured.until_words
         words += [group.sensor] if group.sensor != NO_SENSOR else []
         words += ["part"] if part else []

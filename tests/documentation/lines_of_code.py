@@ -28,7 +28,7 @@ TYPED: Final = (
 
 NOT_HERE: Final = (
     (r"cuda", "a GPU"),
-    (r"http://", "a server that answers; tests/benchmark/extensions/http has one"),
+    (r"(http|grpc)://", "a server that answers; tests/benchmark/extensions/http and alpasim have some"),
     (r"challenger-bench serve", "serves until it is stopped; tests/benchmark/extensions/http stops it"),
     (r"\.pth|weights fetch|vad-tiny|WEIGHTS|anchors\.safetensors", "published weights"),
     (r"--model (uniad|vad|sparsedrive|diffusiondrive)\b(?!-mini).*--data|uniad-unoptimised", "published weights"),

@@ -19,6 +19,7 @@ from typing import Any
 COMMAND = Path(sys.executable).parent / "challenger-bench"
 OF_EXTRAS = (
     "ray", "casadi", "diffusers", "transformers", "sentencepiece", "av", "uvicorn", "starlette", "httpx2", "foxglove",
+    "grpc",
 )  # fmt: skip
 GOLDEN = ("physics", "scoring", "denoiser", "protocols", "pdm", "neuroncap", "drivers", "severity", "realism", "fault")
 TINY = ("--town-scenes", "1", "--size", "96x54", "--frames", "keyframes")
@@ -92,6 +93,7 @@ def check_refusals() -> None:
     """A command whose extra is not there says which one."""
     for arguments, extra in (
         (("serve", "--model", "constant-velocity"), "serve"),
+        (("serve", "--protocol", "alpasim", "--model", "constant-velocity"), "alpasim"),
         (("generate", "--data", "town", "--executor", "ray"), "ray"),
     ):
         said = run(*arguments, expect=2)
