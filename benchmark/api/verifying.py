@@ -15,7 +15,7 @@ def verify(what: str, golden: Path | None = None, model: str | None = None, *, n
 
     Args:
         what: ``physics``, ``scoring``, ``denoiser``, ``protocols``, ``pdm``, ``drivers``, ``severity``, ``realism``,
-            ``neuroncap``, ``infos``, ``hub``, ``results`` or ``model``.
+            ``fault``, ``ability``, ``neuroncap``, ``infos``, ``hub``, ``results`` or ``model``.
         golden: Folder of golden numbers; the built-in set by default, which ``infos``, ``hub``, ``model`` lack.
         model: With ``model``: which one.
         noise: With ``model``: also how far our own rounding moves each quantity, for which our network runs twice more.

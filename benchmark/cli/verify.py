@@ -30,6 +30,7 @@ class VerifyOptions:
             "severity",
             "realism",
             "fault",
+            "ability",
             "hub",
             "model",
         ],

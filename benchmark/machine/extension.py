@@ -82,6 +82,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "severity": "benchmark.extensions.golden_sets.severity:GOLDEN",
         "realism": "benchmark.extensions.golden_sets.realism:GOLDEN",
         "fault": "benchmark.extensions.golden_sets.fault:GOLDEN",
+        "ability": "leaderboard.extensions.ability.verification:GOLDEN",
         "infos": "benchmark.extensions.infos.verification:GOLDEN",
         "hub": "benchmark.extensions.cards.hub_verification:GOLDEN",
         "neuroncap": "benchmark.extensions.neuroncap.verification:GOLDEN",

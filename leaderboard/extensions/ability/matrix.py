@@ -36,7 +36,9 @@ class OutcomeMatrix:
 
     def __post_init__(self) -> None:
         if self.values.shape != (len(self.planners), len(self.scenes)) or len(self.recordings) != len(self.scenes):
-            raise ValueError(f"{self.values.shape} outcomes of {len(self.planners)} planners, {len(self.scenes)} scenes")
+            raise ValueError(
+                f"{self.values.shape} outcomes of {len(self.planners)} planners, {len(self.scenes)} scenes"
+            )
         known = self.values[self.known]
         whole = self.outcome == "score" or np.array_equal(known, np.round(known))
         if not whole or (known < 0).any() or (self.outcome != "ordered" and (known > 1).any()):

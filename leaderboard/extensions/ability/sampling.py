@@ -134,7 +134,9 @@ class _Model:
 
         # Of each variable whether it is a log of a deviation, and the scale of that one's prior.
         scales = [
-            np.full(int(np.prod(shape)), _HALF_NORMAL.get(name.removeprefix("log sd "), 0.0) * name.startswith("log sd "))
+            np.full(
+                int(np.prod(shape)), _HALF_NORMAL.get(name.removeprefix("log sd "), 0.0) * name.startswith("log sd ")
+            )
             for name, shape in self.shapes.items()
         ]
         scale = np.concatenate(scales)
