@@ -19,6 +19,8 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     "command": {
         "data card": "benchmark.extensions.cards.cli:data_card_command",
         "leaderboard card": "benchmark.extensions.cards.cli:records_card_command",
+        "leaderboard ability": "leaderboard.extensions.ability.cli:ability_command",
+        "leaderboard next": "leaderboard.extensions.ability.cli:next_command",
         "challenge": "benchmark.extensions.challenge.cli:app",
         "data export scenarionet": "benchmark.extensions.exchange.cli:export_scenarionet_command",
         "data export openscenario": "benchmark.extensions.exchange.cli:export_openscenario_command",
@@ -55,9 +57,14 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     "pictures": {"conditions": "generation.extensions.magicdrive.condition_pictures:write_condition_pictures"},
     # From records of a kind to `leaderboard.page.sections.Section`, in the order of the page.
     "section": {
+        "abilities": "leaderboard.extensions.ability.tables:build_sections",
         "challenges": "leaderboard.extensions.challenge.tables:build_sections",
         "quality": "leaderboard.extensions.quality.tables:build_sections",
     },
+    # From an output folder, run records and records of drives to records of a kind of ``section``.
+    "records": {"abilities": "leaderboard.extensions.ability.fit:find_fits"},
+    # From an output folder, names of a data set and a split or ``None`` to tables for ``data stats``.
+    "statistics": {"abilities": "leaderboard.extensions.ability.tables:list_statistics"},
     # From `leaderboard.frame.runs.DataSetRuns` to tables of the data set.
     "table": {},
     # From `leaderboard.frame.results.LeaderboardResults` to the text of an HTML page of the site.

@@ -13,7 +13,8 @@ RANK: Final = "rank, 95 %"
 RANK_NOTE: Final = (
     "Rank: by {}, its 95 % interval over recordings, letters (planners without a common one are told apart with a "
     "probability above 97.5 %), and the 95 % interval of the mean, on the scenes that all ranked planners have; a "
-    "failed {} is the worst outcome (docs/metrics.md). References have no rank; miniatures (§) are ranked among themselves."
+    "failed {} is the worst outcome (docs/metrics.md). References have no rank; miniatures (§) are ranked among "
+    "themselves."
 )
 
 

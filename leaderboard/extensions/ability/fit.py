@@ -300,12 +300,16 @@ def read_fit(path: Path) -> AbilityFit:
     )
 
 
+def list_fits(out: Path) -> list[AbilityFit]:
+    """Fits below an output folder, by path."""
+    return read_records(sorted((out / FOLDER).rglob("*.json")), read_fit)
+
+
 def find_fits(out: Path, runs: Sequence[RunRecord], drives: Sequence[DriveRecord]) -> list[StoredFit]:
     """Fits below an output folder, by path, each with whether its records are exactly the present ones."""
-    fits = read_records(sorted((out / FOLDER).rglob("*.json")), read_fit)
     present: dict[tuple[Kind, Loop], list[GatheredOutcomes]] = {}
     found = []
-    for fit in fits:
+    for fit in list_fits(out):
         key = fit.kind, fit.loop
         if key not in present:
             present[key] = gather_outcomes(runs, drives, *key)
