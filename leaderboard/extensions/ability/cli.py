@@ -22,7 +22,9 @@ Outcome = Annotated[
     Option("What a cell is: contact (safe or not), or score (0 to 1; docs/extensions/ability.md).", "Input"),
 ]
 Drives = Annotated[bool, Option("Closed loop: from records of drives.", "Input")]
-MaxSeconds = Annotated[float, Option("Give no number if the chains do not agree by then.", "Execution")]
+MaxSeconds = Annotated[
+    float, Option("Give no number if the chains do not agree within so many seconds of processor time.", "Execution")
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,9 +67,9 @@ def ability_command(options: AbilityOptions) -> None:
     gathered = _gather(options)
     fit, path = fit_abilities(gathered, options.out, seed=options.seed, max_seconds=options.max_seconds)
     from leaderboard.extensions.ability.fit import StoredFit
-    from leaderboard.extensions.ability.tables import ability_table, difficulty_table
+    from leaderboard.extensions.ability.tables import ability_table
 
-    tables = [ability_table(StoredFit(fit, current=True)), difficulty_table(fit)]
+    tables = [ability_table(StoredFit(fit, current=True))]
     if options.json_output:
         print_json({"file": str(path), "fit": fit.model_dump(mode="json", by_alias=True, exclude={"kept"})})
         return
@@ -181,7 +183,7 @@ def fit_abilities(
         gathered: What all planners did (`gather_recorded`).
         out: The output folder.
         seed: Of the sampler.
-        max_seconds: When to give up.
+        max_seconds: Seconds of processor time after which it gives up.
 
     Returns:
         The fit and its file.
