@@ -43,6 +43,7 @@ FUNCTION_OF = {
     "leaderboard": "write_leaderboard", "challenge check": "check_challenge", "challenge score": "score_challenge",
     "challenge rules": "challenge_rules", "leaderboard slices": "slice_tables",
     "leaderboard submit-check": "check_submission", "leaderboard card": "write_records_card",
+    "leaderboard ability": "fit_abilities", "leaderboard next": "choose_next_scenes",
 }  # fmt: skip
 
 

@@ -19,8 +19,10 @@ from typing import Any
 COMMAND = Path(sys.executable).parent / "challenger-bench"
 OF_EXTRAS = (
     "ray", "casadi", "diffusers", "transformers", "sentencepiece", "av", "uvicorn", "starlette", "httpx2", "foxglove",
+    "numpyro", "jax",
 )  # fmt: skip
-GOLDEN = ("physics", "scoring", "denoiser", "protocols", "pdm", "neuroncap", "drivers", "severity", "realism", "fault")
+GOLDEN = ("physics", "scoring", "denoiser", "protocols", "pdm", "neuroncap", "drivers", "severity", "realism", "fault",
+          "ability")
 TINY = ("--town-scenes", "1", "--size", "96x54", "--frames", "keyframes")
 
 

@@ -64,14 +64,14 @@ Parameters = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
-class _Model:
+class JointModel:
     """The model of one matrix: which variables there are, and how they make its parameters."""
 
     matrix: OutcomeMatrix
     steps: int
 
     @classmethod
-    def of(cls, matrix: OutcomeMatrix) -> "_Model":
+    def of(cls, matrix: OutcomeMatrix) -> "JointModel":
         steps = int(np.nanmax(matrix.values)) - 1 if matrix.outcome == "ordered" else 0
         return cls(matrix, max(steps, 0))
 
@@ -126,10 +126,15 @@ class _Model:
                 built[name] = use.np.exp(built[name])
         return built
 
-    def make_potential(self, use: Mathematics) -> Callable[[Any], Any]:
-        """Negative log density of the variables, up to a constant."""
-        known, values = self.matrix.known, np.nan_to_num(self.matrix.values)
-        x = clip_scores(values) if self.matrix.outcome == "score" else values
+    @property
+    def outcomes(self) -> Floats:
+        """(S, N) outcomes as the likelihood wants them, 0 where there is none."""
+        values = np.nan_to_num(self.matrix.values)
+        return clip_scores(values) if self.matrix.outcome == "score" else values
+
+    def make_potential(self, use: Mathematics, x: Any) -> Callable[[Any], Any]:
+        """Negative log density of the variables given (S, N) outcomes, up to a constant."""
+        known = self.matrix.known
         of_scene = self.matrix.places[1]
 
         # Of each variable whether it is a log of a deviation, and the scale of that one's prior.
@@ -190,7 +195,7 @@ def fit_posterior(
     require_package(
         "numpyro", 'abilities need numpyro; install it with: pip install "challenger-bench[ability]", or read ranks'
     )
-    started, model = time.process_time(), _Model.of(matrix)
+    started, model = time.process_time(), JointModel.of(matrix)
     # One thread: the same sums in the same order, and no more processors than one.
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
     import jax
@@ -198,7 +203,8 @@ def fit_posterior(
     with ExitStack() as stack:
         stack.enter_context(jax.experimental.enable_x64())
         stack.enter_context(jax.default_device(jax.devices("cpu")[0]))
-        state, advance = _start_chains(model, seed)
+        x = np.tile(model.outcomes, (CHAINS, 1, 1))
+        state, advance = start_chains(model, x, seed)
         warm = -(-WARM_UP // BLOCK)
         blocks: list[dict[str, Floats]] = []
         drawn, worst = 0, np.inf
@@ -209,7 +215,7 @@ def fit_posterior(
                     f"the chains did not agree within {max_seconds:g} s of processor time ({so_far}, {MOST_R_HAT} is "
                     "needed): no number is given; raise --max-seconds"
                 )
-            state, variables, diverged = advance(state)
+            state, variables, diverged = advance(state, x)
             if warm:
                 warm -= 1
                 continue
@@ -228,31 +234,34 @@ def _join(blocks: list[dict[str, Floats]], name: str) -> Floats:
     return np.concatenate([block[name] for block in blocks], axis=1)
 
 
-def _start_chains(model: _Model, seed: int) -> tuple[Any, Callable[[Any], tuple[Any, Any, Any]]]:
-    """State of the chains, and what advances them by a block: new state, (chains, block, V) variables, divergence."""
+def start_chains(model: JointModel, x: Floats, seed: int) -> tuple[Any, Callable[[Any, Floats], tuple[Any, Any, Any]]]:
+    """State of C chains of outcomes ``x`` (C, S, N), and what advances them by a block of draws.
+
+    Of the state and ``x`` that makes the new state, (C, block, V) variables, and (C, block) whether each diverged.
+    """
     import jax
     from jax.scipy import special
     from numpyro.infer.hmc import hmc
 
-    potential = model.make_potential(Mathematics(jax.numpy, special))
-    start, sample = hmc(potential_fn=potential, algo="NUTS")
+    use = Mathematics(jax.numpy, special)
+    start, sample = hmc(potential_fn_gen=lambda own: model.make_potential(use, own), algo="NUTS")
     rng = np.random.default_rng(seed)
     size = sum(int(np.prod(shape)) for shape in model.shapes.values())
-    first = rng.uniform(-_NEAR, _NEAR, (CHAINS, size))
-    keys = jax.random.split(jax.random.PRNGKey(seed), CHAINS)
+    first = rng.uniform(-_NEAR, _NEAR, (len(x), size))
+    keys = jax.random.split(jax.random.PRNGKey(seed), len(x))
 
-    def begin(variables: Any, key: Any) -> Any:
-        return start(variables, num_warmup=WARM_UP, max_tree_depth=_DEPTHS, rng_key=key)
+    def begin(variables: Any, key: Any, own: Any) -> Any:
+        return start(variables, num_warmup=WARM_UP, max_tree_depth=_DEPTHS, model_args=(own,), rng_key=key)
 
-    def step(state: Any, _: None) -> tuple[Any, tuple[Any, Any]]:
-        state = sample(state)
-        return state, (state.z, state.diverging)
+    def advance(state: Any, own: Any) -> tuple[Any, Any, Any]:
+        def step(state: Any, _: None) -> tuple[Any, tuple[Any, Any]]:
+            state = sample(state, (own,), {})
+            return state, (state.z, state.diverging)
 
-    def advance(state: Any) -> tuple[Any, Any, Any]:
         state, (variables, diverged) = jax.lax.scan(step, state, None, length=BLOCK)
         return state, variables, diverged
 
-    return jax.jit(jax.vmap(begin))(first, keys), jax.jit(jax.vmap(advance))
+    return jax.jit(jax.vmap(begin))(first, keys, x), jax.jit(jax.vmap(advance))
 
 
 def compute_r_hat(draws: Floats) -> float:

@@ -9,7 +9,7 @@ from benchmark.errors import InputError
 from leaderboard.extensions.ability import sampling
 from leaderboard.extensions.ability.likelihood import Mathematics, make_mathematics
 from leaderboard.extensions.ability.matrix import Outcome, OutcomeMatrix
-from leaderboard.extensions.ability.sampling import compute_r_hat, fit_posterior
+from leaderboard.extensions.ability.sampling import JointModel, compute_r_hat, fit_posterior
 from tests.leaderboard.extensions.ability.made_fits import gathered
 
 needs_numpyro = pytest.mark.skipif(find_spec("numpyro") is None, reason="the extra ability is not installed")
@@ -31,12 +31,12 @@ def test_what_is_sampled_is_the_likelihood_whose_cells_are_checked(outcome: Outc
     from jax.scipy import special
 
     for shared in (True, False):
-        model = sampling._Model.of(matrix(outcome, shared=shared))
+        model = JointModel.of(matrix(outcome, shared=shared))
         size = sum(int(np.prod(shape)) for shape in model.shapes.values())
         at = np.random.default_rng(1).normal(0.0, 0.7, size)
         with jax.experimental.enable_x64():
-            ours = model.make_potential(make_mathematics())(at)
-            theirs = model.make_potential(Mathematics(jax.numpy, special))
+            ours = model.make_potential(make_mathematics(), model.outcomes)(at)
+            theirs = model.make_potential(Mathematics(jax.numpy, special), model.outcomes)
             assert float(ours) == pytest.approx(float(theirs(jax.numpy.asarray(at))), rel=1e-10)
             assert np.isfinite(np.asarray(jax.grad(theirs)(jax.numpy.asarray(at)))).all()
         assert ("u" in model.shapes) == shared
