@@ -21,8 +21,10 @@ OF_EXTRAS = (
     "ray", "casadi", "diffusers", "transformers", "sentencepiece", "av", "uvicorn", "starlette", "httpx2", "foxglove",
     "numpyro", "jax",
 )  # fmt: skip
-GOLDEN = ("physics", "scoring", "denoiser", "protocols", "pdm", "neuroncap", "drivers", "severity", "realism", "fault",
-          "ability")
+GOLDEN = (
+    "physics", "scoring", "denoiser", "protocols", "pdm", "neuroncap", "drivers", "severity", "realism", "fault",
+    "ability",
+)  # fmt: skip
 TINY = ("--town-scenes", "1", "--size", "96x54", "--frames", "keyframes")
 
 

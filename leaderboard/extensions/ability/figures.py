@@ -70,7 +70,7 @@ def _draw_wright_map(fit: AbilityFit, theme: PlotTheme) -> Figure:
     for axes in panels:
         _trim(axes, theme)
     panels[-1].set_xlabel("ability, above the mean of these planners")
-    _finish(figure, f"{sanitise_name(fit.measured.words)}")
+    _finish(figure, fit)
     return figure
 
 
@@ -106,7 +106,7 @@ def _draw_curves(fit: AbilityFit, theme: PlotTheme) -> Figure:
         _trim(axes, theme)
     panels[0].set_ylabel("safe" if fit.kind == "contact" else "score")
     panels[len(panels) // 2].set_xlabel("ability; dots: planners")
-    _finish(figure, sanitise_name(fit.measured.words))
+    _finish(figure, fit)
     return figure
 
 
@@ -116,6 +116,7 @@ def _trim(axes: Axes, theme: PlotTheme) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _finish(figure: Figure, heading: str) -> None:
+def _finish(figure: Figure, fit: AbilityFit) -> None:
     figure.tight_layout(rect=(0, 0, 1, 1.0 - 0.3 / figure.get_figheight()))
+    heading = f"{sanitise_name(fit.data)} {sanitise_name(fit.split)}: {fit.kind}, {fit.loop} loop"
     figure.text(0.5, 0.99, heading, ha="center", va="top", fontsize=10.5, parse_math=False)

@@ -72,6 +72,7 @@ class JointModel:
 
     @classmethod
     def of(cls, matrix: OutcomeMatrix) -> "JointModel":
+        """The model of a matrix."""
         steps = int(np.nanmax(matrix.values)) - 1 if matrix.outcome == "ordered" else 0
         return cls(matrix, max(steps, 0))
 
@@ -100,7 +101,7 @@ class JointModel:
         parts, at = {}, 0
         for name, shape in self.shapes.items():
             size = int(np.prod(shape))
-            parts[name] = variables[..., at : at + size].reshape(*variables.shape[:-1], *shape)
+            parts[name] = variables[..., at : at + size].reshape((*variables.shape[:-1], *shape))
             at += size
         return parts
 

@@ -62,7 +62,7 @@ def test_r_hat_tells_chains_that_agree_from_those_that_do_not() -> None:
     rng = np.random.default_rng(0)
     agree = rng.standard_normal((4, 1000, 3))
     apart = agree + np.array([0.0, 0.0, 0.0, 1.0])[:, None, None] * np.array([0.0, 1.0, 0.0])
-    drifting = agree + np.linspace(0.0, 1.0, 1000)[None, :, None]
+    drifting = agree + np.linspace(0.0, 2.0, 1000)[None, :, None]
     assert compute_r_hat(agree) < 1.01 < 1.05 < compute_r_hat(apart) and compute_r_hat(drifting) > 1.05
     assert compute_r_hat(np.zeros((4, 100, 1))) == np.inf
 
