@@ -37,7 +37,7 @@ def test_what_is_sampled_is_the_likelihood_whose_cells_are_checked(outcome: Outc
         with jax.experimental.enable_x64():
             ours = model.make_potential(make_mathematics(), model.outcomes)(at)
             theirs = model.make_potential(Mathematics(jax.numpy, special), model.outcomes)
-            assert float(ours) == pytest.approx(float(theirs(jax.numpy.asarray(at))), rel=1e-10)
+            assert float(ours) == pytest.approx(float(theirs(jax.numpy.asarray(at))), rel=1e-7)
             assert np.isfinite(np.asarray(jax.grad(theirs)(jax.numpy.asarray(at)))).all()
         assert ("u" in model.shapes) == shared
 
