@@ -176,6 +176,9 @@ from generation.splits.packaged import list_packaged_splits as packaged_splits
 from generation.splits.packing import PackageContents as PackageContents
 from generation.splits.packing import pack_split as pack_split
 from generation.splits.unpacking import read_split_package as read_split_package
+from leaderboard.extensions.ability.cli import fit_abilities as fit_abilities
+from leaderboard.extensions.ability.cli import gather_recorded as gather_recorded
+from leaderboard.extensions.ability.next_scenes import choose_next_scenes as choose_next_scenes
 from leaderboard.extensions.films.cli import write_drive_films as write_drive_films
 from leaderboard.extensions.films.film import FilmSettings as FilmSettings
 from leaderboard.extensions.films.filming import write_films as write_films

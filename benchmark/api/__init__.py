@@ -39,6 +39,7 @@ from benchmark.api.sources import (
 )
 from benchmark.api.opening import notify_once as notify_once, notify as notify
 from benchmark.api.presentation import (
+    find_in_extension as find_in_extension,
     stale_leaderboard as stale_leaderboard,
     write_leaderboard as write_leaderboard,
     write_sheets as write_sheets,

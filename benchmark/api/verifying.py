@@ -16,7 +16,7 @@ def verify(what: str, golden: Path | None = None, model: str | None = None, *, n
 
     Args:
         what: ``physics``, ``scoring``, ``denoiser``, ``protocols``, ``pdm``, ``drivers``, ``severity``, ``realism``,
-            ``neuroncap``, ``alpasim``, ``infos``, ``hub``, ``results`` or ``model``.
+            ``fault``, ``ability``, ``neuroncap``, ``alpasim``, ``infos``, ``hub``, ``results`` or ``model``.
         golden: Folder of golden numbers; the built-in set by default, which ``infos``, ``hub``, ``model`` lack. Of a
             name with several sets, the folder of all of them or of one.
         model: With ``model``: which one.

@@ -106,10 +106,14 @@ def data_stats_command(options: DataStatsOptions) -> None:
     numbers = statistics(root, split=options.split, version=options.tables)
     judged = None if options.judge is False else _assess_scenes(root, options, recordings)
     traffic = _measure_traffic(root, options, recordings) if options.traffic else None
+    # A generated split lies in a folder of its data set's name.
+    names = {data.name, Path(options.root).resolve().parent.name}
+    difficulties = api.find_in_extension("statistics", "abilities", options.out, names, options.split)
     if options.json_output:
         parts = {"judgement": judged, "traffic": traffic}
         dumped = {name: None if part is None else part.model_dump(mode="json") for name, part in parts.items()}
-        print_json({**numbers.as_json(), **dumped})
+        fitted = {"difficulty": [table.as_json() for table in difficulties]} if difficulties else {}
+        print_json({**numbers.as_json(), **dumped, **fitted})
         return
     from benchmark.fairness.assessment_tables import format_assessment, format_traffic
 
@@ -118,6 +122,8 @@ def data_stats_command(options: DataStatsOptions) -> None:
         typer.echo("\n" + format_assessment(judged), nl=False)
     if traffic is not None:
         typer.echo("\n" + format_traffic(traffic), nl=False)
+    for table in difficulties:
+        typer.echo("\n" + table.plain(), nl=False)
 
 
 def _assess_scenes(

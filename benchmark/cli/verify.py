@@ -32,6 +32,7 @@ class VerifyOptions:
             "severity",
             "realism",
             "fault",
+            "ability",
             "hub",
             "model",
         ],

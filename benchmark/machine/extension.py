@@ -20,6 +20,8 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     "command": {
         "data card": "benchmark.extensions.cards.cli:data_card_command",
         "leaderboard card": "benchmark.extensions.cards.cli:records_card_command",
+        "leaderboard ability": "leaderboard.extensions.ability.cli:ability_command",
+        "leaderboard next": "leaderboard.extensions.ability.cli:next_command",
         "challenge": "benchmark.extensions.challenge.cli:app",
         "data export scenarionet": "benchmark.extensions.exchange.cli:export_scenarionet_command",
         "data export openscenario": "benchmark.extensions.exchange.cli:export_openscenario_command",
@@ -71,9 +73,14 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     "pictures": {"conditions": "generation.extensions.magicdrive.condition_pictures:write_condition_pictures"},
     # From records of a kind to `leaderboard.page.sections.Section`, in the order of the page.
     "section": {
+        "abilities": "leaderboard.extensions.ability.tables:build_sections",
         "challenges": "leaderboard.extensions.challenge.tables:build_sections",
         "quality": "leaderboard.extensions.quality.tables:build_sections",
     },
+    # From an output folder, run records and records of drives to records of a kind of ``section``.
+    "records": {"abilities": "leaderboard.extensions.ability.fit:find_fits"},
+    # From an output folder, names of a data set and a split or ``None`` to tables for ``data stats``.
+    "statistics": {"abilities": "leaderboard.extensions.ability.tables:list_statistics"},
     # From `leaderboard.frame.runs.DataSetRuns` to tables of the data set.
     "table": {},
     # From records of drives through a data set to tables of them.
@@ -100,6 +107,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "severity": "benchmark.extensions.golden_sets.severity:GOLDEN",
         "realism": "benchmark.extensions.golden_sets.realism:GOLDEN",
         "fault": "benchmark.extensions.golden_sets.fault:GOLDEN",
+        "ability": "leaderboard.extensions.ability.verification:GOLDEN",
         "infos": "benchmark.extensions.infos.verification:GOLDEN",
         "hub": "benchmark.extensions.cards.hub_verification:GOLDEN",
         "neuroncap": "benchmark.extensions.neuroncap.verification:GOLDEN",

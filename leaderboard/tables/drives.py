@@ -12,6 +12,7 @@ from benchmark.metrics.loops import (
     compute_rank_correlation,
     find_run,
 )
+from benchmark.metrics.ranks import average_drives_by_scene
 from benchmark.metrics.scores import map_scenes_to_sources
 from benchmark.records.drives import (
     AT_FAULT,
@@ -25,7 +26,7 @@ from benchmark.records.drives import (
     DriveRecord,
 )
 from benchmark.records.run import RunRecord
-from benchmark.report.cells import PERCENT, CellSource, ValueSource, join_record_names
+from benchmark.report.cells import PERCENT, CellSource, TableCell, ValueSource, join_record_names
 from benchmark.report.fault_words import FAULT_CELLS
 from benchmark.report.table import Table
 from benchmark.report.words import pluralise
@@ -42,6 +43,7 @@ from leaderboard.frame.specification import (
     text_columns,
 )
 from leaderboard.tables.paired_drives import paired_drive_tables
+from leaderboard.tables.ranks import RANK, RANK_NOTE, Contestant, rank_cells
 
 DISAGREEMENTS = "loops-scenes"
 """How names of tables of single scenes begin."""
@@ -226,6 +228,7 @@ _FAMILIES: Final = ("stationary", "frontal", "side")
 _BRIEF: Final = (
     *("planner", "sensor", "contact", "at_fault", "95 % of at_fault", ATTRIBUTABLE, BYSTANDER, "survives_cc"),
     *("impact_speed", "route", "off_road", "comfortable", "nuplan_score", "hd_score", "failed", "drives"),
+    RANK,
 )
 """Columns of our own engine in a terminal; the only interval is that of fault."""
 _BRIEF_OF_WINDOWS: Final = ("with_adversary", "with_bystander")
@@ -289,17 +292,30 @@ def _table(group: ComparableDrives) -> Table:
         *(column for column_values in measured for column in _columns(*column_values)),
         *(number_columns(_PUBLISHED[0], digits=3) if published else ()),
         *(number_columns(_PUBLISHED[1], digits=1) if published else ()),
-        *number_columns("failed", "drives"),
+        *number_columns("failed", "drives", *([RANK] if own else [])),
     ]
+    ranks, rank_notes = _rank(group) if own else ([None] * len(group.rows), [])
     own_notes = (_NOTE_CONTACT + _NOTE_STOP_ON[first.measured.rule or "contact"], _NOTE_SCORES)
     notes = (*(own_notes if own else _NOTES_NEURONCAP), *([_PUBLISHED_NOTE] if published else ()))
     also = [_NOTE_FURTHER.format(", ".join(sorted(names)))] if names else []
-    notes = (*notes, *([_NOTE_FAIRNESS] if fair else []), *also, _FAILED_NOTE, *group.notes)
-    rows = [_values(row, {name: unit for name, _, unit, _ in measured}) for row in group.rows]
+    notes = (*notes, *([_NOTE_FAIRNESS] if fair else []), *also, _FAILED_NOTE, *rank_notes, *group.notes)
+    units = {name: unit for name, _, unit, _ in measured}
+    rows = [{**_values(row, units), RANK: rank} for row, rank in zip(group.rows, ranks, strict=True)]
     brief = (*_BRIEF, *_BRIEF_OF_WINDOWS[: 2 * windows]) if own else [column.key for column in columns]
     failed = [_FAILED_NOTE] if any(record.summary.failed for record in group.records) else []
-    brief_notes = (*failed, *group.notes)
+    brief_notes = (*failed, *rank_notes[1:], *group.notes)
     return tabulate(f"drives-{group.name}", group.title, columns, rows, notes, brief=brief, brief_notes=brief_notes)
+
+
+def _rank(group: ComparableDrives) -> tuple[list[TableCell], list[str]]:
+    """Ranks by nuPlan's terms, and notes on them."""
+    contestants = []
+    for row in group.rows:
+        facts, totals = row.record.facts, average_drives_by_scene(row.record)
+        sources = {name: facts.scene_facts[name].source if name in facts.scene_facts else name for name in totals}
+        contestants.append(Contestant(row.name, facts.planner, totals, sources, row.origin))
+    cells, told = rank_cells(contestants, lower_is_better=False, unit="")
+    return cells, [RANK_NOTE.format("nuPlan terms, highest first", "drive"), *told]
 
 
 def _neuroncap_columns(records: Sequence[DriveRecord]) -> Sequence[_MeasuredColumn]:

@@ -7,10 +7,12 @@ from benchmark.errors import InputError
 from benchmark.metrics.attacks import has_adversaries, knows_adversaries
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.effect import AT_3_S, AdversaryEffect, PairedEffect, compute_effect, knows_contact_partners
+from benchmark.metrics.ranks import sum_faults_by_scene
 from benchmark.metrics.rates import PairedDifference
+from benchmark.metrics.scores import map_scenes_to_sources
 from benchmark.metrics.unchanged_records import find_unchanged_record, sees_images
 from benchmark.records.run import RunRecord
-from benchmark.report.cells import PERCENT, CellSource, ValueSource, join_record_names
+from benchmark.report.cells import PERCENT, CellSource, ValueSource, join_record_names, make_value_source
 from benchmark.report.table import Table
 from benchmark.report.words import pluralise
 from leaderboard.frame.rows import FEW_NOTE, list_run_marks, row_name, run_notes
@@ -24,6 +26,7 @@ from leaderboard.frame.specification import (
     text_columns,
 )
 from leaderboard.tables.attacks import UNKNOWN_FAULT
+from leaderboard.tables.ranks import RANK, RANK_NOTE, Contestant, rank_cells
 
 _NOTE: Final = (
     "Adversary: samples whose plan touches the adversary before anything else within 3 s (avg: mean of 1, 2 and 3 s); "
@@ -56,6 +59,7 @@ _COLUMNS: Final = [
         number_columns("new others", "lost others", digits=1),
     ),
     *group_columns(f"counted, {EXACT}", number_columns("pairs", "recordings", "differing", "compared with")),
+    *group_columns(f"by at fault 3s, {EXACT}", number_columns(RANK)),
 ]
 _BRIEF: Final = (
     "planner",
@@ -65,6 +69,7 @@ _BRIEF: Final = (
     "any, unchanged",
     "difference",
     "95 % of difference",
+    RANK,
 )
 
 
@@ -84,6 +89,7 @@ def effect_table(frame: DataSetRuns) -> Table | None:
             refused[f"Left out: {refusal}."] = None
         effects += [] if effect is None else [effect]
         rows.append({"planner": row_name(record, EXACT), "split": record.run.split, **_values(effect)})
+    rank_notes = _add_ranks(rows, [record for record in runs if knows_contact_partners(record)], runs)
     lacking, few = (*_list_missing(runs, effects), *refused), _list_too_few(effects)
     # A note for intervals of other tables: this one's hold over few recordings, or are omitted.
     run_sentences = [note for note in run_notes(runs, ()) if note != FEW_NOTE]
@@ -92,11 +98,40 @@ def effect_table(frame: DataSetRuns) -> Table | None:
         f"{frame.data_name}: effect of the adversary (%, samples), protocol {EXACT}",
         _COLUMNS,
         rows,
-        (_NOTE, _OTHERS_NOTE, *lacking, *few, *run_sentences),
+        (_NOTE, _OTHERS_NOTE, *rank_notes, *lacking, *few, *run_sentences),
         brief=_BRIEF,
         # The other notes on the runs are below the rates already.
-        brief_notes=(_SHORT_NOTE, *lacking, *([_FEW_DIFFER_NOTE] if few else []), *list_run_marks(runs)),
+        brief_notes=(
+            _SHORT_NOTE,
+            *rank_notes[1:],
+            *lacking,
+            *([_FEW_DIFFER_NOTE] if few else []),
+            *list_run_marks(runs),
+        ),
     )
+
+
+def _add_ranks(rows: list[Values], known: Sequence[RunRecord], runs: Sequence[RunRecord]) -> list[str]:
+    """Add to the rows of the runs the ranks of those that say whom contacts are with, by split; notes on them."""
+    notes = [RANK_NOTE.format("at fault 3s, lowest first", "sample")] if known else []
+    for split in dict.fromkeys(record.run.split for record in known):
+        own = [record for record in known if record.run.split == split]
+        contestants = [
+            Contestant(
+                record.planner,
+                record.run.planner,
+                sum_faults_by_scene(record),
+                map_scenes_to_sources(record),
+                make_value_source(record, EXACT),
+            )
+            for record in own
+        ]
+        cells, told = rank_cells(contestants, lower_is_better=True, unit=PERCENT)
+        notes += [f"{split}: {note}" for note in told]
+        for record, cell in zip(own, cells, strict=True):
+            place = runs.index(record)
+            rows[place] = {**rows[place], RANK: cell}
+    return notes
 
 
 def _values(effect: AdversaryEffect | None) -> Values:

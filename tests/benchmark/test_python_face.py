@@ -44,6 +44,7 @@ FUNCTION_OF = {
     "challenge rules": "challenge_rules", "leaderboard slices": "slice_tables",
     "leaderboard submit-check": "check_submission", "leaderboard card": "write_records_card",
     "leaderboard export-alpasim": "build_alpasim_table",
+    "leaderboard ability": "fit_abilities", "leaderboard next": "choose_next_scenes",
 }  # fmt: skip
 
 

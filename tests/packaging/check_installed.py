@@ -20,8 +20,12 @@ COMMAND = Path(sys.executable).parent / "challenger-bench"
 OF_EXTRAS = (
     "ray", "casadi", "diffusers", "transformers", "sentencepiece", "av", "uvicorn", "starlette", "httpx2", "foxglove",
     "grpc",
+    "numpyro", "jax",
 )  # fmt: skip
-GOLDEN = ("physics", "scoring", "denoiser", "protocols", "pdm", "neuroncap", "drivers", "severity", "realism", "fault")
+GOLDEN = (
+    "physics", "scoring", "denoiser", "protocols", "pdm", "neuroncap", "drivers", "severity", "realism", "fault",
+    "ability",
+)  # fmt: skip
 TINY = ("--town-scenes", "1", "--size", "96x54", "--frames", "keyframes")
 
 
