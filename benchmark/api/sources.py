@@ -52,7 +52,7 @@ class DataSource:
     """A data set (``mini``, ``demo`` or a root) that is checked at once and opened, or built, when it is needed.
 
     ``workers`` processes build what is absent, 0 takes all processors. ``categories`` says what those mean that are not
-    nuScenes'.
+    nuScenes', ``cameras`` which of these is which view.
     """
 
     data: str
@@ -60,13 +60,14 @@ class DataSource:
     out: Path = OUT
     workers: int = 0
     categories: str | None = None
+    cameras: str | None = None
 
     def __post_init__(self) -> None:
         worker_count(self.workers)
-        if self.categories is not None:
-            from benchmark.datasets.categories import read_categories
+        if (self.categories, self.cameras) != (None, None):
+            from benchmark.datasets.categories import read_names
 
-            read_categories(self.categories)
+            read_names(self.categories, self.cameras)
 
     @classmethod
     def of(cls, options: Any, **others: Any) -> "DataSource":
@@ -84,6 +85,7 @@ class DataSource:
             rates=rates,
             sweeps=sweeps,
             categories=self.categories,
+            cameras=self.cameras,
         )
 
     def open_split(self, split: str, source: "DataSet | None" = None) -> "DataSet":

@@ -51,7 +51,7 @@ class DriveOptions:
     RARE: ClassVar = (
         *("tables", "categories", "adversary_every", "adversary_others", "adversary_rounds", "adversary_candidates"),
         *("adversary_tracks", "keep_considered", "image_format", "frame", "accept_torch_tensors", "scenarios"),
-        *("target", "timeout", "memory_limit", "precision", "address"),
+        *("target", "timeout", "memory_limit", "precision", "address", "cameras"),
     )
 
     model: shared.Models = ()
@@ -103,6 +103,7 @@ class DriveOptions:
     shard: shared.Shard = None
     tables: shared.Tables = None
     categories: shared.Categories = None
+    cameras: shared.Cameras = None
     adversary_every: Annotated[float, Option("adversary: seconds between its plans, at most 3.", "Search")] = 1.0
     adversary_others: Annotated[
         Literal["replay", "idm"], Option("adversary: how everybody else behaves.", "Search")

@@ -38,6 +38,14 @@ Categories = Annotated[
         "Input",
     ),
 ]
+Cameras = Annotated[
+    str | None,
+    Option(
+        "Which camera is which view: nuscenes, nuplan, argoverse2, waymo, front, directions or a JSON file "
+        "(docs/extensions/own_recordings.md).",
+        "Input",
+    ),
+]
 Out = Annotated[Path, Option("Folder for all output.", "Output")]
 Split = Annotated[str, Option("val, val-r, adv, or a split of the data set's own.", "Input")]
 Splits = Annotated[

@@ -5,12 +5,14 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, Self
 
 import numpy as np
 import shapely
 
 from benchmark.constants import NUSCENES_TABLES
+from benchmark.datasets.categories import CategoryNames
+from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, make_token
 from benchmark.records.review import StandingVerdict
@@ -32,13 +34,19 @@ _PLAIN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
 class SourceInfo:
     """The data set that another one derives from: maps, CAN bus files and label tokens come from its ``root``.
 
-    ``version`` may stay ``None`` where the root has only one.
+    ``version`` may stay ``None`` where the root has only one; ``names`` are those that were replaced in it.
     """
 
     name: str
     fingerprint: str
     root: Path | None = None
     version: str | None = None
+    names: CategoryNames = ()
+
+    @classmethod
+    def of(cls, data: DataSet) -> Self:
+        """An open data set."""
+        return cls(data.name, data.fingerprint(), data.root, data.version, data.categories)
 
 
 @dataclass(frozen=True, slots=True)

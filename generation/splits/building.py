@@ -265,7 +265,7 @@ def _build_plan(source: DataSet, split: NamedSplit, as_split: str, settings: Bui
         frames=settings.frames,
         jpeg_quality=settings.jpeg_quality,
         lossless=settings.lossless,
-        source=SourceInfo(name=source.name, fingerprint=source.fingerprint(), root=source.root, version=source.version),
+        source=SourceInfo.of(source),
         frozen=(name, content),
         search=compute_search_hash(frozen.search, frozen.chosen, adversaries) if of_seed else None,
         left_out=tuple(

@@ -70,7 +70,7 @@ def build_edited_split(source: DataSet, path: Path, edited: EditedScenes | None 
     plan = DataSetPlan(
         root=Path(),
         split="adv",
-        source=SourceInfo(source.name, source.fingerprint(), source.root, source.version),
+        source=SourceInfo.of(source),
     )
     scenes: dict[str, FrozenScene] = {}
     times: dict[str, tuple[int, int]] = {}
