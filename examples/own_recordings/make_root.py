@@ -44,7 +44,7 @@ for number, scene in enumerate(("scene-0001", "scene-0002")):
         add("instance", f"{scene}-{name}", category_token=kind, nbr_annotations=SAMPLES, **ends)
     for k in range(SAMPLES):  # yours: poses of the rear axle and boxes, in one frame fixed to the world, every 0.5 s
         time = {"timestamp": 1_767_225_600_000_000 + number * 60_000_000 + k * 500_000}
-        x, y, sample = (8 + number) * k / 2, LANES["ours"][0], add("sample", scene, k, scene_token=scene, **time)
+        x, y, sample = (8 - number) * k / 2, LANES["ours"][0], add("sample", scene, k, scene_token=scene, **time)
         add("ego_pose", sample, translation=[x, y, 0.0], rotation=[1.0, 0.0, 0.0, 0.0], **time)
         boxes = {name: (at + v * k / 2 * np.cos(LANES[on][1]), *LANES[on]) for name, (on, at, v, _) in OTHERS.items()}
         for name, (u, v, yaw) in boxes.items():  # centre of the box; width, length, height
