@@ -142,7 +142,8 @@ class DataSource:
                 raise InputError(f"{name} has no split {split!r}; did you mean {split.lower()}?") from error
             if not is_generated(split) or not all_scenes:
                 raise
-            given = format_options(data=self.data, tables=self.tables, categories=self.categories)
+            names = {"categories": self.categories, "cameras": self.cameras}
+            given = format_options(data=self.data, tables=self.tables, **names)
             raise NoSuchSplitError(
                 f"split {split!r} of {name} is missing at {split_folder}; build it with: challenger-bench generate"
                 f"{given} {format_generate_options(split)}{format_options(out=self.out)}",

@@ -56,8 +56,8 @@ def list_data_caveats(scenes: Mapping[str, SceneFacts]) -> Iterator[Caveat]:
     if without := [name for name, inputs in facts.items() if not inputs.lidar]:
         yield Caveat(
             kind="lidar",
-            sentence=f"{_format_scenes(without, facts)} {_have(without)} no LIDAR_TOP: the lidar, whose place "
-            "plans and protocols is assumed to be mounted as on nuScenes' cars",
+            sentence=f"{_format_scenes(without, facts)} {_have(without)} no LIDAR_TOP: the lidar, from "
+            "whose place plans and protocols count, is assumed to be mounted as on nuScenes' cars",
         )
 
 

@@ -98,7 +98,7 @@ def choose_names(folder: Path, tables: Tables, given: Mapping[str, str]) -> Cate
             table, field = ("attribute", "name") if prefix.startswith("attribute") else ("visibility", "level")
             own = {f"{prefix}{row[field]}" for row in tables[table]}
             pairs |= {name: to for name, to in part.items() if name in own}
-    place = (read_rig(given[SENSOR]) if SENSOR in given else rig).place
+    place = (read_rig(given[SENSOR]).place if SENSOR in given else None) or rig.place
     if place is not None:
         pairs.setdefault(LIDAR_PLACE, place)
     return tuple(sorted(pairs.items()))

@@ -223,8 +223,10 @@ def _require_one_each(chosen: Mapping[str, str], modality: Mapping[str, str], wh
 
 def _assign(cameras: Sequence[_OwnCamera], views: Mapping[str, ViewDirection]) -> dict[str, str]:
     """Views by camera; the least sum of squared differences, of as many as there can be."""
+    if not cameras or not views:
+        return {}
     ordered = sorted(cameras, key=lambda camera: camera.name)
-    costs = np.array([[_differ(camera, at) for at in views.values()] for camera in ordered]).reshape(-1, len(views))
+    costs = np.array([[_differ(camera, at) for at in views.values()] for camera in ordered])
     # A pair that cannot be costs more than all others together, and is left out afterwards.
     chosen = zip(*linear_sum_assignment(np.where(np.isfinite(costs), costs, 1e6)), strict=True)
     return {ordered[row].name: [*views][column] for row, column in chosen if math.isfinite(costs[row, column])}
