@@ -342,7 +342,14 @@ def _replace_names(
     folder: Path, tables: CheckedTables, categories: Mapping[str, str], faults: FaultList
 ) -> CategoryNames:
     """Replace other names by nuScenes' in the rows themselves; views that no camera has are noted."""
-    names = choose_names(folder, {table: [*tables.having(table, *of)] for table, of in _NAMED.items()}, categories)
+    sound = {table: [*tables.having(table, *of)] for table, of in _NAMED.items()}
+    try:
+        names = choose_names(folder, sound, categories)
+    except InputError:
+        # What tables lack is told of them first.
+        if not any(fault.severity == "error" for fault in faults.faults):
+            raise
+        return ()
     for table, renamed in rename_rows(tables.rows, names).items() if names else ():
         for row, new in zip(tables.rows[table], renamed):
             row.update(new)

@@ -56,7 +56,7 @@ def tables(cameras: Mapping[str, Angles], lidars: Mapping[str, float] | None = N
 
 
 def named(*names: str) -> dict[str, list[dict[str, Any]]]:
-    return tables({name: (0.0, 0.0, 65.0) for name in names})
+    return tables(dict.fromkeys(names, (0.0, 0.0, 65.0)))
 
 
 NUPLAN = [f"CAM_{place}" for place in ("F0", "L0", "R0", "L1", "R1", "L2", "R2", "B0")]
@@ -78,9 +78,7 @@ RING = [
         ("front", ["dashcam"], CAMERA_NAMES[1:]),
     ],
 )
-def test_ready_rigs_name_the_views_of_their_data_sets(
-    rig: str, cameras: Sequence[str], missing: Sequence[str]
-) -> None:
+def test_ready_rigs_name_the_views_of_their_data_sets(rig: str, cameras: Sequence[str], missing: Sequence[str]) -> None:
     chosen = choose_views(read_rig(rig), named(*cameras))
     assert set(chosen.values()) == set(CAMERA_NAMES) - set(missing)
     assert len(set(chosen.values())) == len(chosen) and set(chosen) <= set(cameras)
