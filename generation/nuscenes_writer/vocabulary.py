@@ -1,6 +1,6 @@
 """Categories, attributes, visibility levels, logs and sensors: the rows that scenes share."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -123,9 +123,10 @@ def build_sensor_row(channel: str) -> Row:
     return {"token": make_token("sensor", channel), "channel": channel, "modality": modality}
 
 
-def build_sensor_rows() -> list[Row]:
-    """Rows of the six cameras and the lidar."""
-    return [build_sensor_row(channel) for channel in (*CAMERA_NAMES, LIDAR_NAME)]
+def build_sensor_rows(channels: Collection[str]) -> list[Row]:
+    """Rows of the six cameras and the lidar, and of other channels that there are."""
+    usual = (*CAMERA_NAMES, LIDAR_NAME)
+    return [build_sensor_row(channel) for channel in (*usual, *sorted(set(channels) - set(usual)))]
 
 
 def _build_rows(table: str, words: Mapping[str, str]) -> list[Row]:

@@ -328,21 +328,12 @@ def check_tables(root: Path, *, version: str | None = None, categories: Mapping[
     return _check(folder, data_root, categories or {})
 
 
-_NAMED: Final = {
-    "category": ("name",),
-    "sensor": ("channel", "modality"),
-    "calibrated_sensor": ("sensor_token", "translation", "rotation", "camera_intrinsic"),
-    "attribute": ("name",),
-    "visibility": ("level",),
-}
-"""Fields of the tables that names are chosen by."""
-
-
 def _replace_names(
     folder: Path, tables: CheckedTables, categories: Mapping[str, str], faults: FaultList
 ) -> CategoryNames:
     """Replace other names by nuScenes' in the rows themselves; views that no camera has are noted."""
-    sound = {table: [*tables.having(table, *of)] for table, of in _NAMED.items()}
+    shared = ("category", "sensor", "calibrated_sensor", "attribute", "visibility")
+    sound = {table: [row for row in tables.rows[table] if id(row) not in tables.unsound] for table in shared}
     try:
         names = choose_names(folder, sound, categories)
     except InputError:

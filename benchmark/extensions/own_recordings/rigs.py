@@ -186,7 +186,9 @@ def choose_views(rig: Rig, tables: Tables) -> dict[str, str]:
     Raises:
         InputError: If a sensor that must be there is not, two would be one view, or none is any.
     """
-    modality = {str(row["channel"]): str(row["modality"]) for row in tables["sensor"]}
+    # Writers name sensors, too, that no car of theirs has.
+    mounted = {row["sensor_token"] for row in tables["calibrated_sensor"]}
+    modality = {str(row["channel"]): str(row["modality"]) for row in tables["sensor"] if row["token"] in mounted}
     cameras = [name for name, kind in modality.items() if kind == "camera"]
     if not rig.names and not rig.directions:
         return {}
@@ -243,8 +245,8 @@ def _differ(camera: _OwnCamera, view: ViewDirection) -> float:
 def _find_direction(name: str, tables: Tables) -> _OwnCamera:
     """Where a camera looks, by its calibrations; those of different logs must not differ by more than a view may."""
     looks = [(*find_angles(row["rotation"]), row["camera_intrinsic"]) for row in _calibrations(name, tables)]
-    if not looks or len(looks[0][2]) != 3:
-        raise InputError(f"{name} has no calibration to tell its direction by; say in a JSON file which view it is")
+    if len(looks[0][2]) != 3:
+        raise InputError(f"{name} has no intrinsics to tell its view by; say in a JSON file which one it is")
     yaw, _, intrinsic = looks[0]
     if any(abs((other - yaw + 180.0) % 360.0 - 180.0) > FARTHEST_DEG for other, *_ in looks):
         raise InputError(f"{name} looks in different directions in different logs; say in a JSON file which view it is")

@@ -158,6 +158,23 @@ def test_a_split_that_is_generated_has_nuscenes_names(tmp_path: Path) -> None:
     assert run_main("data", "check", root).code == 0
 
 
+def test_a_split_of_a_rig_with_two_views_and_four_other_cameras(tmp_path: Path) -> None:
+    source = copy_root(tmp_path / "two", {"cameras": TWO, "layers": {"lanes": "lane"}, "categories": "short"})
+    made = run_main(
+        "generate", "--split", "val-r", "--size", "64x36", "--frames", "keyframes", "--data", source,
+        "--limit", "1", "--workers", "1", "--out", tmp_path,
+    )  # fmt: skip
+    assert made.code == 0, made.err
+    (root,) = tmp_path.glob("data/*/val-r")
+    checked = run_main("data", "check", root)
+    assert checked.code == 0 and "no camera is CAM_FRONT_RIGHT" in checked.out and "dead" not in checked.out
+    data = benchmark.open_data(root)
+    (name,) = data.scene_names()
+    four = {"front_left", "front_right", "rear_left", "rear_right"}
+    assert {camera.name for camera in data.scene(name).cameras} == {"CAM_FRONT", "CAM_BACK"} | four
+    assert dict(data.categories) == {"sensor:CAM_FRONT": "CAM_FRONT", "sensor:CAM_BACK": "CAM_BACK"}
+
+
 @pytest.mark.parametrize(
     ("names", "said"),
     [

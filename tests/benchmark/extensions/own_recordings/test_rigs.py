@@ -141,7 +141,7 @@ def test_names_and_directions_together_and_a_lidar_that_looks_ahead() -> None:
         (
             {"CAM_FRONT": {"yaw_deg": 0}},
             {"sensor": named("a")["sensor"], "calibrated_sensor": []},
-            "a has no calibration",
+            "the data set has no camera",
         ),
     ],
 )
