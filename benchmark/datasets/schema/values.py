@@ -190,25 +190,19 @@ def _intrinsic_problem(intrinsic: Any) -> str:
 
 
 def check_copied_intrinsics(tables: CheckedTables, faults: FaultList) -> None:
-    """Warn where CAM_BACK has the matrix of CAM_FRONT, whose lens is narrower; so it is in the published Adv-nuSc.
-
-    A rig all of whose cameras have one matrix has equal lenses.
-    """
-    cameras: defaultdict[str, dict[str, Row]] = defaultdict(dict)
+    """Warn where CAM_BACK has the matrix of CAM_FRONT, whose lens is narrower; so it is in the published Adv-nuSc."""
+    front_and_back: defaultdict[str, dict[str, Row]] = defaultdict(dict)
     for row in tables.having("sample_data", "sample_token", "calibrated_sensor_token"):
         channel = _channel(tables, row)
         sample = tables.get("sample", row["sample_token"], "scene_token")
-        if sample is not None and channel is not None and channel not in cameras[sample["scene_token"]]:
+        if sample is not None and channel in ("CAM_FRONT", "CAM_BACK"):
             calibration = tables.get("calibrated_sensor", row["calibrated_sensor_token"], "camera_intrinsic")
-            if calibration is not None and calibration["camera_intrinsic"]:
-                cameras[sample["scene_token"]][channel] = calibration
-    for scene_token, mounted in cameras.items():
-        matrices = {name: row["camera_intrinsic"] for name, row in mounted.items()}
-        front, back = matrices.get("CAM_FRONT"), matrices.get("CAM_BACK")
-        has_equal_lenses = len(matrices) > 2 and all(matrix == front for matrix in matrices.values())
-        if front is not None and front == back and not has_equal_lenses:
+            if calibration is not None:
+                front_and_back[sample["scene_token"]].setdefault(channel, calibration)
+    for scene_token, pair in front_and_back.items():
+        if len(pair) == 2 and pair["CAM_FRONT"]["camera_intrinsic"] == pair["CAM_BACK"]["camera_intrinsic"]:
             sentence = f"CAM_BACK has the intrinsic matrix of CAM_FRONT in scene {scene_token}, as if it were copied"
-            token = mounted["CAM_BACK"]["token"]
+            token = pair["CAM_BACK"]["token"]
             faults.add("copied intrinsics", "calibrated_sensor", token, sentence, severity="warning")
 
 

@@ -87,7 +87,7 @@ def test_ready_rigs_name_the_views_of_their_data_sets(rig: str, cameras: Sequenc
         "CAM_FRONT_LEFT",
         "CAM_BACK_LEFT",
     }
-    said = name_missing_views([(f"sensor:{name}", view) for name, view in chosen.items()])
+    said = name_missing_views(tuple((f"sensor:{name}", view) for name, view in chosen.items()))
     assert [all(view in text for view in missing) for text in said] == [True] * bool(missing)
 
 
