@@ -257,7 +257,7 @@ class PlannerAwayError(PlannerGoneError):
 
 
 class NoViewsError(InputError):
-    """A planner needs images, and the world that it drives in has no cameras: not a failure of the planner."""
+    """A planner needs images of cameras that the world, or the rig, does not have: not a failure of the planner."""
 
 
 class PlannerLateError(InputError):

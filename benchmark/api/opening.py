@@ -63,6 +63,7 @@ def open_data(
     rates: "FaultList | None" = None,
     sweeps: bool = False,
     categories: str | Path | None = None,
+    cameras: str | Path | None = None,
 ) -> "DataSet":
     """Open a data set; the embedded one is built into the user's cache the first time.
 
@@ -78,14 +79,15 @@ def open_data(
             at 12 Hz; they are drawn when they are asked for, and no table changes by it.
         categories: What categories mean that are not nuScenes': ``short``, ``lyft``, ``t4``, ``argoverse2``, or a JSON
             file ``{"name": "nuscenes.category"}`` (docs/data.md).
+        cameras: Which camera is which view: a rig's name or a JSON file (docs/extensions/own_recordings.md).
 
     Returns:
         The data set.
 
     Raises:
-        InputError: If there is no such data set, or it is broken; if there is no such map of categories.
+        InputError: If there is no such data set, or it is broken; if there is no such map of categories or rig.
     """
-    from benchmark.datasets.categories import read_categories
+    from benchmark.datasets.categories import read_names
     from benchmark.datasets.roots import open_data as open_root
     from benchmark.machine.workspace import DEMONSTRATED, cache_root, is_finished, read_embedded_version
 
@@ -99,7 +101,7 @@ def open_data(
             )
         return town
     if read_embedded_version(str(data)) is None:
-        named = None if categories is None else read_categories(str(categories))
+        named = read_names(*(None if name is None else str(name) for name in (categories, cameras)))
         return open_root(Path(data), version=tables, rates=rates, categories=named)
     from generation.sources.embedded import find_town
 

@@ -52,7 +52,8 @@ class DataSource:
     """A data set (``mini``, ``demo`` or a root) that is checked at once and opened, or built, when it is needed.
 
     ``workers`` processes build what is absent, 0 takes all processors. ``categories`` says what those mean that are not
-    nuScenes', ``driving_side`` to which side traffic keeps, ``left`` or ``right``.
+    nuScenes', ``driving_side`` to which side traffic keeps, ``left`` or ``right``, ``cameras`` which of these is which
+    view.
     """
 
     data: str
@@ -61,13 +62,14 @@ class DataSource:
     workers: int = 0
     categories: str | None = None
     driving_side: str | None = None
+    cameras: str | None = None
 
     def __post_init__(self) -> None:
         worker_count(self.workers)
-        if self.categories is not None:
-            from benchmark.datasets.categories import read_categories
+        if (self.categories, self.cameras) != (None, None):
+            from benchmark.datasets.categories import read_names
 
-            read_categories(self.categories)
+            read_names(self.categories, self.cameras)
 
     @classmethod
     def of(cls, options: Any, **others: Any) -> "DataSource":
@@ -85,6 +87,7 @@ class DataSource:
             rates=rates,
             sweeps=sweeps,
             categories=self.categories,
+            cameras=self.cameras,
         )
         return self._with_side(opened)
 
@@ -149,7 +152,8 @@ class DataSource:
                 raise InputError(f"{name} has no split {split!r}; did you mean {split.lower()}?") from error
             if not is_generated(split) or not all_scenes:
                 raise
-            given = format_options(data=self.data, tables=self.tables, categories=self.categories)
+            names = {"categories": self.categories, "cameras": self.cameras}
+            given = format_options(data=self.data, tables=self.tables, **names)
             raise NoSuchSplitError(
                 f"split {split!r} of {name} is missing at {split_folder}; build it with: challenger-bench generate"
                 f"{given} {format_generate_options(split)}{format_options(out=self.out)}",

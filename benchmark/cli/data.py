@@ -222,16 +222,17 @@ class DataCheckOptions:
     root: Annotated[Path, Option("Root of a data set.", "Input", names="")]
     tables: shared.Tables = None
     categories: shared.Categories = None
+    cameras: shared.Cameras = None
     json_output: shared.Json = False
 
 
 @command(DataCheckOptions, app, "check")
 def data_check_command(options: DataCheckOptions) -> None:
     """Look for faults in the tables and files of a data set."""
-    from benchmark.datasets.categories import read_categories
+    from benchmark.datasets.categories import read_names
     from benchmark.datasets.schema.check import check_tables
 
-    named = None if options.categories is None else read_categories(options.categories)
+    named = read_names(options.categories, options.cameras)
     faults = check_tables(options.root, version=options.tables, categories=named)
     errors = sum(fault.severity == "error" for fault in faults)
     if options.json_output:

@@ -49,17 +49,9 @@ class DriveOptions:
     EXTENDED: ClassVar = ("planner",)
 
     RARE: ClassVar = (
-        *(
-            "tables",
-            "categories",
-            "driving_side",
-            "adversary_every",
-            "adversary_others",
-            "adversary_rounds",
-            "adversary_candidates",
-        ),
+        *("tables", "categories", "adversary_every", "adversary_others", "adversary_rounds", "adversary_candidates"),
         *("adversary_tracks", "keep_considered", "image_format", "frame", "accept_torch_tensors", "scenarios"),
-        *("target", "timeout", "memory_limit", "precision", "address"),
+        *("target", "timeout", "memory_limit", "precision", "address", "cameras", "driving_side"),
     )
 
     model: shared.Models = ()
@@ -119,6 +111,7 @@ class DriveOptions:
     tables: shared.Tables = None
     categories: shared.Categories = None
     driving_side: shared.DrivingSide = None
+    cameras: shared.Cameras = None
     adversary_every: Annotated[float, Option("adversary: seconds between its plans, at most 3.", "Search")] = 1.0
     adversary_others: Annotated[
         Literal["replay", "idm"], Option("adversary: how everybody else behaves.", "Search")

@@ -17,19 +17,8 @@ class EvalOptions:
     EXTENDED: ClassVar = ("planner",)
 
     RARE: ClassVar = (
-        *(
-            "tables",
-            "categories",
-            "driving_side",
-            "results_format",
-            "name",
-            "native",
-            "frame",
-            "as_is",
-            "dump_results",
-            "unchanged",
-        ),
-        *("precision", "image_format", "sample_limit", "memory_limit", "explain_protocols"),
+        *("tables", "categories", "results_format", "name", "native", "frame", "as_is", "dump_results", "unchanged"),
+        *("precision", "image_format", "sample_limit", "memory_limit", "explain_protocols", "cameras", "driving_side"),
     )
 
     model: shared.Models = ()
@@ -67,6 +56,7 @@ class EvalOptions:
     tables: shared.Tables = None
     categories: shared.Categories = None
     driving_side: shared.DrivingSide = None
+    cameras: shared.Cameras = None
     results_format: Annotated[
         str, Option("With --results: auto tells it by content (docs/your-results.md).", "Input", names="--format")
     ] = "auto"

@@ -31,6 +31,7 @@ class FailuresOptions:
     data: shared.Data = "mini"
     tables: shared.Tables = None
     categories: shared.Categories = None
+    cameras: shared.Cameras = None
     out: shared.Out = api.OUT
     drives: Annotated[bool, Option("Failures of its drives in closed loop instead.", "Input")] = False
     limit: Annotated[int, Option("Only the first so many scenes.", "Output", min=1)] = 10
@@ -153,7 +154,7 @@ def _list_film_commands(
     except AbsentExtensionError:
         # The site plays it.
         return [*first, f"challenger-bench leaderboard{repeat_out_option(options.out)}"]
-    again = _name_scene(scene, replace(options, categories=None))
+    again = _name_scene(scene, replace(options, categories=None, cameras=None))
     film = f"challenger-bench film{' --drives' if options.drives else ''} {again} --model {quote(record.planner)}"
     film += f" --records {quote(str(record.directory))}" if several else ""
     # Without PyAV an animated WebP, with frames for a minute at most.

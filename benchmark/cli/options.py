@@ -44,6 +44,14 @@ DrivingSide = Annotated[
     Literal["left", "right"] | None,
     Option("Side that traffic keeps to; by default found from lanes and place (docs/fault.md).", "Input"),
 ]
+Cameras = Annotated[
+    str | None,
+    Option(
+        "Which camera is which view: nuscenes, nuplan, argoverse2, waymo, front, directions or a JSON file "
+        "(docs/extensions/own_recordings.md).",
+        "Input",
+    ),
+]
 Out = Annotated[Path, Option("Folder for all output.", "Output")]
 Split = Annotated[str, Option("val, val-r, adv, or a split of the data set's own.", "Input")]
 Splits = Annotated[

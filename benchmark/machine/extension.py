@@ -71,6 +71,14 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     },
     # Pictures of scenes for ``data show``.
     "pictures": {"conditions": "generation.extensions.magicdrive.condition_pictures:write_condition_pictures"},
+    # Names of recordings that mean nuScenes' (`benchmark.datasets.categories.choose_names`).
+    "names": {
+        "rig": "benchmark.extensions.own_recordings.rigs:read_rig",
+        "file": "benchmark.extensions.own_recordings.names:flatten_names",
+        "choose": "benchmark.extensions.own_recordings.names:choose_names",
+        "missing views": "benchmark.extensions.own_recordings.rigs:name_missing_views",
+        "caveats": "benchmark.extensions.own_recordings.rig_notes:list_caveats",
+    },
     # From records of a kind to `leaderboard.page.sections.Section`, in the order of the page.
     "section": {
         "abilities": "leaderboard.extensions.ability.tables:build_sections",

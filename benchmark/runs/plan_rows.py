@@ -25,6 +25,7 @@ from benchmark.machine.progress import CountedUnits, track_progress
 from benchmark.machine.storage import content_key, content_seed
 from benchmark.planning import (
     Forecasts,
+    NoViewsError,
     Observation,
     Plan,
     Planner,
@@ -133,7 +134,7 @@ class BrokenImageError(InputError):
     """An image of the data set cannot be read: the data's fault, not the planner's."""
 
 
-_RUN_ENDING_ERRORS = (BrokenImageError, PlannerGoneError, PlannerLateError)
+_RUN_ENDING_ERRORS = (BrokenImageError, NoViewsError, PlannerGoneError, PlannerLateError)
 """Exceptions that end a command instead of being recorded: the same command resumes."""
 
 

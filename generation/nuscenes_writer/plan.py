@@ -5,12 +5,14 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, Self
+from typing import Any, Final, Literal, Self
 
 import numpy as np
 import shapely
 
 from benchmark.constants import NUSCENES_TABLES
+from benchmark.datasets.categories import CategoryNames
+from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, make_token
 from benchmark.machine.workspace import strip_version
@@ -19,9 +21,6 @@ from benchmark.runs.units import ResultStore
 from benchmark.scene import Camera, Scene
 from generation.nuscenes_writer.numbering import SceneNumber
 from generation.render.contract import Renderer
-
-if TYPE_CHECKING:
-    from benchmark.datasets.roots import DataSet
 
 WRITER_VERSION: Final = 1
 """Part of every content key; raised when the same scene would be written differently."""
@@ -36,18 +35,20 @@ _PLAIN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
 class SourceInfo:
     """The data set that another one derives from: maps, CAN bus files and label tokens come from its ``root``.
 
-    ``version`` may stay ``None`` where the root has only one.
+    ``version`` may stay ``None`` where the root has only one; ``names`` are those that were replaced in it.
     """
 
     name: str
     fingerprint: str
     root: Path | None = None
     version: str | None = None
+    names: CategoryNames = ()
 
     @classmethod
-    def of(cls, source: "DataSet") -> Self:
+    def of(cls, source: DataSet) -> Self:
         """A data set, of an earlier town by the name that it had: what is made from it stays the same to the byte."""
-        return cls(strip_version(source.name), source.fingerprint(), source.root, source.version)
+        name = strip_version(source.name)
+        return cls(name, source.fingerprint(), source.root, source.version, source.categories)
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,6 +63,10 @@ NOT_HERE: Final = (
     (r"reproduce .*ROOT", "a file of expected values"),
     (r"my_package|--model vad-served", "a planner of your own"),
     (r"^python (bench/|-m (bench|tests))", "a checkout to change, or an hour of measuring"),
+    (
+        r"(--data|check|show|stats|make_root\.py) mine\b",
+        "the root of an example; tests/benchmark/extensions/own_recordings makes it",
+    ),
 )
 """Lines that run nowhere in the tests, and what they need."""
 
