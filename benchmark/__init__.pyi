@@ -156,6 +156,8 @@ from generation.extensions.denoiser_training.loop import (
 from generation.extensions.denoiser_training.loop import (
     train_denoiser as train_denoiser,
 )
+from generation.extensions.logs123d.importing import LogImport as LogImport
+from generation.extensions.logs123d.importing import import_123d as import_123d
 from generation.extensions.magicdrive.command import build_magicdrive_renderer as magicdrive_renderer
 from generation.extensions.magicdrive.condition_pictures import write_condition_pictures as write_condition_pictures
 from generation.pipeline.ablation import run_ablation as ablate

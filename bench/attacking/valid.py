@@ -16,6 +16,7 @@ from generation.extensions.golden_sets.built_in import BUILT_IN
 from generation.render.schematic import SchematicRenderer
 from tests.benchmark.datasets.nuscenes_tables import VERSION
 from tests.benchmark.datasets.test_scenarionet import recording
+from tests.generation.extensions.logs123d.made_logs import MadeLog
 from tests.generation.nuscenes_writer.written_roots import write_root
 from tests.hand_made import Car, scene_on_straight_road
 
@@ -31,8 +32,8 @@ def make_valid(folder: Path) -> Path:
         folder: Holds everything of a campaign.
 
     Returns:
-        Their folder: ``root`` and what was ``generated`` from it, ``recordings``, ``records``, ``edited`` scenes, and
-        files.
+        Their folder: ``root`` and what was ``generated`` from it, ``recordings``, ``log123d``, ``records``, ``edited``
+        scenes, and files.
     """
     valid = folder / "valid"
     if (valid / "complete").is_file():
@@ -44,6 +45,7 @@ def make_valid(folder: Path) -> Path:
         shutil.copytree(BUILT_IN / what, valid / f"golden-{what}")
     (valid / "recordings").mkdir()
     (valid / "recordings" / "sd_one.pkl").write_bytes(pickle.dumps(recording()))
+    MadeLog(frames=11).write(valid / "log123d")
     write_weights(valid)
     write_plans(valid)
     _by_command(valid, "eval", "--model", "constant-velocity")

@@ -50,7 +50,7 @@ from benchmark.machine.workers import collect_rarely, processor_seconds
 from benchmark.untrusted.files import to_one_line
 
 Groups = Mapping[str, typer.Typer]
-"""Groups of commands by name: the top one is ``""``, then ``data``, ``data export`` and ``leaderboard``."""
+"""Groups of commands by name: the top one is ``""``, then ``data``, its groups and ``leaderboard``."""
 
 
 def add_command_of_extension(words: str, groups: Groups) -> None:
@@ -160,6 +160,7 @@ _GROUPS: Final[Groups] = {
     "": app,
     "data": data.app,
     "data export": data.export_app,
+    "data import": data.import_app,
     "leaderboard": show.leaderboard_app,
 }
 # In the order in which help lists them.
@@ -168,6 +169,7 @@ add_command_of_extension("data export infos", _GROUPS)
 add_command_of_extension("data export scenarionet", _GROUPS)
 add_command_of_extension("data export openscenario", _GROUPS)
 add_command_of_extension("data export nuscenes", _GROUPS)
+add_command_of_extension("data import 123d", _GROUPS)
 add_command_of_extension("leaderboard submit-check", _GROUPS)
 add_command_of_extension("data review", _GROUPS)
 add_command(data.app, "pack", packages.data_pack_command)

@@ -1,4 +1,4 @@
-"""Commands on data sets: ``data info|stats|show|check|import|build``; extensions add ``data export``."""
+"""Commands on data sets: ``data info|stats|show|check|import|build``; extensions add to ``export`` and ``import``."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +12,6 @@ from benchmark.cli.help import FullSummaryGroup
 from benchmark.cli.options import parse_image_size, parse_name_list
 from benchmark.cli.output import print_json, print_result
 from benchmark.cli.settings import Option, command
-from benchmark.errors import InputError
 from benchmark.report.words import pluralise
 
 if TYPE_CHECKING:
@@ -26,7 +25,9 @@ app = typer.Typer(
     rich_help_panel="Data",
 )
 export_app = typer.Typer(cls=FullSummaryGroup, help="Write a data set for the code of others.", no_args_is_help=True)
+import_app = typer.Typer(cls=FullSummaryGroup, help="Bring recordings into nuScenes format.", no_args_is_help=True)
 app.add_typer(export_app, name="export")
+app.add_typer(import_app, name="import")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -247,9 +248,8 @@ def data_check_command(options: DataCheckOptions) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DataImportOptions:
-    """Options of ``data import``."""
+    """Options of ``data import scenarionet``."""
 
-    form: Annotated[str, Option("Form of the recordings: scenarionet.", "Input", names="")]
     source: Annotated[Path, Option("A file or a folder of recordings.", "Input", names="")]
     out: Annotated[Path, Option("Root of the data set to write.", "Output")]
     renderer: Annotated[
@@ -262,14 +262,12 @@ class DataImportOptions:
     json_output: shared.Json = False
 
 
-@command(DataImportOptions, app, "import")
+@command(DataImportOptions, import_app, "scenarionet")
 def data_import_command(options: DataImportOptions) -> None:
-    """Bring recordings of another form into nuScenes format."""
+    """Import ScenarioNet files: tracks and maps of Waymo, nuPlan, Argoverse 2 and others, without images."""
     from benchmark.machine.path_checks import require_place
     from generation.sources.importing import ImportSettings, import_scenarionet
 
-    if options.form != "scenarionet":
-        raise InputError(f"cannot import {options.form!r}; the only supported format is scenarionet")
     require_place(options.out, "--out")
     width, height = parse_image_size(options.size)
     images = options.renderer != "none"

@@ -34,6 +34,7 @@ class VerifyOptions:
             "fault",
             "ability",
             "hub",
+            "import-123d",
             "model",
         ],
         Option("What to compare.", names=""),

@@ -61,7 +61,7 @@ def build_road_map(
     width, height = (float(value) + _MARGIN_M for value in extent[1] + shift)
     if official:
         width, height = (max(pair) for pair in zip((width, height), _CANVAS_M[location], strict=True))
-    return replace(_shift_map(road_map, shift) if shift.any() else road_map, canvas_m=(width, height)), shift
+    return replace(move_map(road_map, shift) if shift.any() else road_map, canvas_m=(width, height)), shift
 
 
 def _read_features(features: Mapping[Any, Any], path: Path) -> dict[str, "_CheckedFeature"]:
@@ -269,7 +269,9 @@ def _extent(road_map: RoadMap, ego_path: Floats) -> Floats:
     return np.array([bounds[:, :2].min(axis=0), bounds[:, 2:].max(axis=0)])
 
 
-def _shift_map(road_map: RoadMap, shift: Floats) -> RoadMap:
+def move_map(road_map: RoadMap, shift: Floats) -> RoadMap:
+    """The map, but for road blocks, with its origin moved by (2,) metres."""
+
     def moved(shape: Any) -> Any:
         return None if shape is None else shapely.transform(shape, lambda points: points + shift)
 
@@ -283,4 +285,7 @@ def _shift_map(road_map: RoadMap, shift: Floats) -> RoadMap:
         dividers=tuple(replace(line, line=line.line + shift) for line in road_map.dividers),
         ped_crossings={name: moved(shape) for name, shape in road_map.ped_crossings.items()},
         walkways={name: moved(shape) for name, shape in road_map.walkways.items()},
+        road_segments={name: moved(shape) for name, shape in road_map.road_segments.items()},
+        stop_lines={name: moved(shape) for name, shape in road_map.stop_lines.items()},
+        carparks={name: moved(shape) for name, shape in road_map.carparks.items()},
     )

@@ -99,9 +99,14 @@ def _category(track: Mapping[str, Any], kind: str, size: Floats) -> str:
         return detailed
     if kind != "VEHICLE":
         return _CATEGORY_OF_TYPE.get(kind, "movable_object.debris")
-    if size[0] <= _LONGEST_CAR_M:
+    return name_vehicle(float(size[0]))
+
+
+def name_vehicle(length_m: float) -> str:
+    """Category of a vehicle of which nothing but the length is known."""
+    if length_m <= _LONGEST_CAR_M:
         return "vehicle.car"
-    return "vehicle.truck" if size[0] <= _LONGEST_TRUCK_M else "vehicle.bus.rigid"
+    return "vehicle.truck" if length_m <= _LONGEST_TRUCK_M else "vehicle.bus.rigid"
 
 
 def resample_tracks(

@@ -14,6 +14,7 @@ import zipfile
 from collections.abc import Callable
 from typing import Any, BinaryIO, Final
 
+from benchmark.machine.extension import import_reference
 from benchmark.untrusted.answers import UnencodableValueError, write_answer
 from benchmark.untrusted.checkpoint_structure import read_checkpoint_structure
 from benchmark.untrusted.files import CHECKPOINT, GIB, PICKLE, PLAN_COLUMNS, PLANS, RESULTS, Limits, to_one_line
@@ -55,7 +56,7 @@ KINDS: Final[dict[str, tuple[Callable[[BinaryIO, Limits], Any], Limits]]] = {
     "parquet": (read_parquet_columns, PLANS),
     "results": (read_result_value, RESULTS),
 }
-"""Kinds of files that the child can read."""
+"""Kinds of files that the child can read; extensions name a function of theirs, ``module:function``."""
 
 
 def apply_limits(limits: Limits, parent: int) -> None:
@@ -77,14 +78,15 @@ def apply_limits(limits: Limits, parent: int) -> None:
             resource.setrlimit(resource_kind, (least, least))
 
 
-def read_request(kind: str, limits: Limits, stream: BinaryIO) -> tuple[Any, ...]:
-    """Read the file as one of `KINDS`: ``("value", V)``, or what was wrong.
+def read_request(kind: str, limits: Limits, stream: BinaryIO, *request: str) -> tuple[Any, ...]:
+    """Read the file as one of `KINDS`: ``("value", V)``, or what was wrong; ``request`` says what of it is wanted.
 
     That is ``("refused", NAME)``, ``("unanswerable", WHY)``, ``("memory",)``, ``("archive", WHY)`` or
     ``("broken", TYPE, MESSAGE)``.
     """
     try:
-        return "value", KINDS[kind][0](stream, limits)
+        read = KINDS[kind][0] if kind in KINDS else import_reference(kind)
+        return "value", read(stream, limits, *request)
     except DisallowedNameError as refused:
         return "refused", to_one_line(refused)
     except UnencodableValueError as why:
@@ -100,11 +102,11 @@ def read_request(kind: str, limits: Limits, stream: BinaryIO) -> tuple[Any, ...]
 
 def main() -> None:
     """Answer the parent; ends the process without giving anything back, which could take as long as reading did."""
-    kind, parent, *numbers = sys.argv[2:]
+    kind, parent, *numbers = sys.argv[2:10]
     depth, values, name_characters, content_bytes, memory_bytes, cpu_s = map(int, numbers)
     given = Limits(
         kind,
-        KINDS[kind][1].file_bytes,
+        content_bytes,
         depth=depth,
         values=values,
         name_characters=name_characters,
@@ -113,7 +115,7 @@ def main() -> None:
         cpu_s=cpu_s,
     )
     apply_limits(given, int(parent))
-    parts = read_request(kind, given, os.fdopen(0, "rb"))
+    parts = read_request(kind, given, os.fdopen(0, "rb"), *sys.argv[10:])
     out = os.fdopen(1, "wb")
     try:
         write_answer(out, parts, given)

@@ -31,13 +31,14 @@ class ChildAnswer:
     parts: tuple[Any, ...]
 
 
-def read_in_child(path: Path, kind: str, limits: Limits) -> ChildAnswer:
-    """Read an untrusted file as ``pickle``, ``checkpoint`` or ``parquet`` in a child process.
+def read_in_child(path: Path, kind: str, limits: Limits, *request: str) -> ChildAnswer:
+    """Read an untrusted file as one of `benchmark.untrusted.child.KINDS` in a child process.
 
-    Raises `InputError` if the file cannot be opened or is too large, or the child exceeds its limits or dies.
+    ``request`` is for readers of extensions. Raises `InputError` if the file cannot be opened or is too large, or the
+    child exceeds its limits or dies.
     """
     with open_file(path, limits) as stream, tempfile.TemporaryFile() as answer:
-        code = _run(path, kind, limits, stream.fileno(), answer.fileno())
+        code = _run(path, kind, limits, request, stream.fileno(), answer.fileno())
         if code < 0:
             raise InputError(_death(path, -code, limits))
         size = os.fstat(answer.fileno()).st_size
@@ -56,7 +57,7 @@ def read_in_child(path: Path, kind: str, limits: Limits) -> ChildAnswer:
     return ChildAnswer(status, tuple(parts))
 
 
-def _run(path: Path, kind: str, limits: Limits, source: int, target: int) -> int:
+def _run(path: Path, kind: str, limits: Limits, request: tuple[str, ...], source: int, target: int) -> int:
     numbers = (
         limits.depth,
         limits.values,
@@ -68,7 +69,7 @@ def _run(path: Path, kind: str, limits: Limits, source: int, target: int) -> int
     # Numpy's libraries reserve memory for every processor unless limited to one thread.
     environment = {name: os.environ[name] for name in _PASSED_ENVIRONMENT if name in os.environ}
     environment |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-    command = [sys.executable, "-I", "-c", _PROGRAM, str(_ROOT), kind, str(os.getpid()), *map(str, numbers)]
+    command = [sys.executable, "-I", "-c", _PROGRAM, str(_ROOT), kind, str(os.getpid()), *map(str, numbers), *request]
     try:
         child = subprocess.Popen(
             command, stdin=source, stdout=target, stderr=subprocess.DEVNULL, env=environment, cwd="/"

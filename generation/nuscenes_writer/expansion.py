@@ -199,13 +199,14 @@ class _LayerWriter:
         areas: tuple[tuple[str, dict[str, Polygon], Row], ...] = (
             ("ped_crossing", road_map.ped_crossings, {"road_segment_token": ""}),
             ("walkway", road_map.walkways, {}),
-            ("stop_line", road_map.stop_lines, {"stop_line_type": "TURN_STOP", **cues}),
+            ("stop_line", road_map.stop_lines, cues),
             ("carpark_area", road_map.carparks, {"orientation": 0.0, "road_block_token": ""}),
             ("road_block", road_map.road_blocks, links),
         )
         for layer, shapes, extra in areas:
             for name, shape in sorted(shapes.items()):
-                self._add_surface(layer, name, shape, extra)
+                kind = {"stop_line_type": road_map.stop_line_types.get(name, "TURN_STOP")} if extra is cues else {}
+                self._add_surface(layer, name, shape, {**kind, **extra})
 
     def add_divider(self, divider: Divider) -> None:
         """A lane or road divider with its paint."""

@@ -159,6 +159,10 @@ def _draw_maps(
         return
     parts = [unpack_road_map(read_json(plan.map_path(key))) for key in map_keys]
     road_map = merge_road_maps(parts) if parts else merge_road_maps([_build_empty_map(location)])
+    if road_map.drivable_area.is_empty and location not in OFFICIAL_LOCATIONS and expansion in wanted:
+        # A recording without a map: readers take an expansion for what is there.
+        wanted.remove(expansion)
+        (root / expansion).unlink(missing_ok=True)
     drawn_key = content_key(pack_road_map(road_map), _DRAWING_VERSION)
     note = plan.drawn_path(root) / f"{mask.replace('/', '_')}.json"
     finished = {"key": drawn_key, "files": wanted}

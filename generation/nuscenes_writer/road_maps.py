@@ -45,6 +45,7 @@ def pack_road_map(road_map: RoadMap) -> dict[str, Any]:
             layer: {name: _encode_wkb(shape) for name, shape in getattr(road_map, layer).items()}
             for layer in _POLYGON_LAYERS
         },
+        **({"stop_line_types": dict(road_map.stop_line_types)} if road_map.stop_line_types else {}),
     }
 
 
@@ -79,6 +80,7 @@ def unpack_road_map(packed: dict[str, Any]) -> RoadMap:
         dividers=dividers,
         intersections=frozenset(packed["intersections"]),
         canvas_m=(width, height),
+        stop_line_types=packed.get("stop_line_types", {}),
         **layers,
     )
 
@@ -100,6 +102,7 @@ def merge_road_maps(parts: Sequence[RoadMap]) -> RoadMap:
             dividers=_merge_dividers(parts),
             intersections=frozenset[str]().union(*(part.intersections for part in parts)),
             canvas_m=(max(part.canvas_m[0] for part in parts), max(part.canvas_m[1] for part in parts)),
+            stop_line_types={name: kind for part in parts for name, kind in part.stop_line_types.items()},
             **{layer: _merge_polygons(getattr(part, layer) for part in parts) for layer in _POLYGON_LAYERS},
         )
     return replace(road_map, canvas_m=_compute_canvas(road_map))

@@ -1,6 +1,6 @@
 """Table rows of one scene."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -10,24 +10,48 @@ from benchmark.constants import LIDAR_NAME
 from benchmark.scene import Camera, EgoTrack, Scene
 from generation.nuscenes_writer.plan import SceneNames
 from generation.nuscenes_writer.vocabulary import LabelVocabulary, Row, build_sensor_row
+from generation.render.contract import RecordedChannel
 
 SceneTables = dict[str, list[Row]]
 
 
 @dataclass(frozen=True, slots=True)
 class SensorChannel:
-    """One sensor, the lidar without ``camera``; ``ego`` is the ego's track as it measures, ``None`` for the scene's."""
+    """One sensor, the lidar without ``camera``; ``ego`` is the ego's track as it measures, ``None`` for the scene's.
+
+    ``offsets_us`` is by how much it measures later than a frame, by frame; ``None`` where it has every frame's time.
+    """
 
     name: str
     camera: Camera | None
     extension: str
     ego: EgoTrack | None = None
+    offsets_us: Mapping[int, int] | None = None
+
+    def list_frames(self, frames: Iterable[int]) -> list[int]:
+        """Which of some frames it has."""
+        return [frame for frame in frames if self.offsets_us is None or frame in self.offsets_us]
+
+    def time_us(self, scene: Scene, frame: int) -> int:
+        """When it measured a frame."""
+        return int(scene.timestamps_us[frame]) + (0 if self.offsets_us is None else self.offsets_us[frame])
 
 
-def build_channels(cameras: Sequence[Camera], tracks: Mapping[str, EgoTrack]) -> tuple[SensorChannel, ...]:
+def build_channels(
+    cameras: Sequence[Camera], tracks: Mapping[str, EgoTrack], recorded: Mapping[str, RecordedChannel] | None = None
+) -> tuple[SensorChannel, ...]:
     """The lidar and the cameras of a scene, and the ego motion of cameras with clocks of their own."""
-    lidar = SensorChannel(LIDAR_NAME, None, "pcd.bin")
-    return (lidar, *(SensorChannel(camera.name, camera, "jpg", tracks.get(camera.name)) for camera in cameras))
+    channels = [SensorChannel(LIDAR_NAME, None, "pcd.bin")]
+    for camera in cameras:
+        own = None if recorded is None else recorded[camera.name]
+        if own is None:
+            channels.append(SensorChannel(camera.name, camera, "jpg", tracks.get(camera.name)))
+            continue
+        places = np.searchsorted(own.frames, np.arange(own.frames.max(initial=-1) + 1)).clip(max=len(own.frames) - 1)
+        ego = EgoTrack(own.ego.position[places], own.ego.rotation[places])
+        offsets = dict(zip(own.frames.tolist(), own.offsets_us.tolist(), strict=True))
+        channels.append(SensorChannel(camera.name, camera, own.extension, ego, offsets))
+    return tuple(channels)
 
 
 def build_scene_tables(
@@ -109,11 +133,12 @@ def _build_sensor_rows(
     """Rows of ``sample_data`` and ``ego_pose``, one pair a frame with equal tokens."""
     keyframes, ego = set(scene.keyframes.tolist()), channel.ego or scene.ego
     # A sweep belongs to the sample before it, as in the reference code; in nuScenes, to the one after.
+    frames = channel.list_frames(frames)
     owner = np.maximum(np.searchsorted(scene.keyframes, frames, side="right") - 1, 0)
     data, poses = [], []
     for frame, sample in zip(frames, owner.tolist()):
         own_token = names.token("sample_data", channel.name, int(frame))
-        timestamp = int(scene.timestamps_us[frame])
+        timestamp = channel.time_us(scene, frame)
         is_keyframe = frame in keyframes
         data.append(
             {

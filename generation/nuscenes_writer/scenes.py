@@ -30,7 +30,7 @@ from generation.nuscenes_writer.plan import DataSetPlan, SceneNames, compute_sce
 from generation.nuscenes_writer.road_maps import pack_road_map
 from generation.nuscenes_writer.rows import SensorChannel, build_channels, build_scene_tables, list_used_labels
 from generation.nuscenes_writer.vocabulary import LabelVocabulary
-from generation.render.contract import CuttingRenderer, Images, SweepRenderer
+from generation.render.contract import CuttingRenderer, Images, RecordedImages, SweepRenderer
 
 FRAGMENT_SCHEMA = 1
 UNDRAWN = "undrawn"
@@ -104,7 +104,8 @@ def write_scene_if_missing(
     timed = replace(scene, timestamps_us=scene.timestamps_us + shift_us)
     frames = range(len(scene.timestamps_us)) if plan.frames == "all" else scene.keyframes.tolist()
     tracks = plan.renderer.camera_tracks(scene) if isinstance(plan.renderer, SweepRenderer) else {}
-    channels = build_channels(cameras, tracks)
+    recorded = plan.renderer.channels(scene) if isinstance(plan.renderer, RecordedImages) else None
+    channels = build_channels(cameras, tracks, recorded)
     vocabulary = LabelVocabulary.of(plan.source)
     tables = build_scene_tables(names, vocabulary, timed, channels, frames)
     messages = build_can_bus_files(timed, name=name, source=plan.source, source_scene=source_scene, shift_us=shift_us)
@@ -290,7 +291,8 @@ def require_valid(scene: Scene) -> None:
 
 def _store_map(plan: DataSetPlan, road_map: RoadMap) -> str:
     """Keep a road map for `finish_data_set`; scenes with the same map share the file."""
-    packed = pack_road_map(road_map)
+    # Maps of a source are copied whole.
+    packed = pack_road_map(road_map if plan.source is None else replace(road_map, stop_line_types={}))
     key = content_key(packed)
     if read_cached_json(plan.map_path(key)) != packed:
         write_json(plan.map_path(key), packed, indent=None)
@@ -298,7 +300,7 @@ def _store_map(plan: DataSetPlan, road_map: RoadMap) -> str:
 
 
 def _build_file_path(names: SceneNames, scene: Scene, channel: SensorChannel, frame: int) -> str:
-    timestamp, is_keyframe = int(scene.timestamps_us[frame]), bool((scene.keyframes == frame).any())
+    timestamp, is_keyframe = channel.time_us(scene, frame), bool((scene.keyframes == frame).any())
     return names.file(channel.name, timestamp, is_keyframe=is_keyframe, extension=channel.extension)
 
 
@@ -325,6 +327,11 @@ def _write_images(
     if plan.renderer is None or not cameras:
         return
     wanted = frames if plan.pictures == "all" else scene.keyframes.tolist()
+    if isinstance(plan.renderer, RecordedImages):
+        by_name = {channel.name: channel for channel in cameras}
+        for name, frame, data in plan.renderer.files(scene, wanted):
+            write_bytes(root / _build_file_path(names, timed, by_name[name], frame), data, durable=False)
+        return
     open_frames = [
         frame
         for frame in wanted

@@ -1,6 +1,7 @@
 """The contract of a renderer: a scene in, six images per frame out."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -73,6 +74,34 @@ class SweepRenderer(Renderer, Protocol):
 
     def camera_tracks(self, scene: Scene) -> Mapping[str, EgoTrack]:
         """Ego motion by camera name, at the times of that camera; nothing for cameras that share the scene's."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedChannel:
+    """When and from where a camera recorded M images, one a frame at most.
+
+    Attributes:
+        frames: (M,) ascending frames that an image belongs to.
+        offsets_us: (M,) by how much each is later than its frame, microseconds.
+        ego: M poses of the ego at the images' own times.
+        extension: ``jpg`` or ``png``.
+    """
+
+    frames: NDArray[np.int64]
+    offsets_us: NDArray[np.int64]
+    ego: EgoTrack
+    extension: str = "jpg"
+
+
+@runtime_checkable
+class RecordedImages(Renderer, Protocol):
+    """Images that are there already, as files: nothing is drawn, and cameras may lack frames."""
+
+    def channels(self, scene: Scene) -> Mapping[str, RecordedChannel]:
+        """What each camera recorded, by its name."""
+
+    def files(self, scene: Scene, frames: Collection[int]) -> Iterator[tuple[str, int, bytes]]:
+        """Camera, frame and content of each file of some frames."""
 
 
 @runtime_checkable

@@ -50,6 +50,7 @@ NOT_HERE: Final = (
     (r"--executor ray|^ray ", "a cluster; tests/benchmark/machine/test_ray_cluster.py has two nodes"),
     (r"^(pip|uv|echo|docker|make|for) ", "an index of packages, or a machine to change"),
     (r"^(cd|bash|\./tools|python tools)", "official code"),
+    (r"import[- ]123d", "logs of others; tests/generation/extensions/logs123d makes some"),
     (r"data export mcap", "foxglove-sdk, and drives; tests/benchmark/extensions/mcap has some"),
     (r"--for sparsedrive", "pictures of 1600x900; tests/benchmark/extensions/infos draws some"),
     (
