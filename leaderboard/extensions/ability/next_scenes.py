@@ -4,7 +4,6 @@ A scene's information about the ability is averaged over the posterior. Scenes o
 has with that recording: of I in total, I / (1 + I sd_u²) is about the ability.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,8 +116,3 @@ def _normal_quantiles(probabilities: Floats) -> Floats:
     from scipy import stats
 
     return np.asarray(stats.norm.ppf(probabilities))
-
-
-def count_scenes_of(scenes: Sequence[NextScene]) -> int:
-    """Recordings that scenes are of."""
-    return len({scene.recording for scene in scenes})
