@@ -18,8 +18,8 @@ def verify(what: str, golden: Path | None = None, model: str | None = None, *, n
         what: ``physics``, ``scoring``, ``denoiser``, ``protocols``, ``pdm``, ``drivers``, ``severity``, ``realism``,
             ``fault``, ``ability``, ``neuroncap``, ``alpasim``, ``infos``, ``hub``, ``import-123d``, ``results``
             or ``model``.
-        golden: Folder of golden numbers; the built-in set by default, which ``infos``, ``hub``, ``import-123d`` and ``model`` lack. Of a
-            name with several sets, the folder of all of them or of one.
+        golden: Folder of golden numbers; the built-in set by default, which ``infos``, ``hub``, ``import-123d`` and
+            ``model`` lack. Of a name with several sets, the folder of all of them or of one.
         model: With ``model``: which one.
         noise: With ``model``: also how far our own rounding moves each quantity, for which our network runs twice more.
 

@@ -18,6 +18,7 @@ from benchmark.geometry import Bools, Floats
 from benchmark.metrics.effect import AT_3_S, collect_sample_contacts
 from benchmark.metrics.rates import INTERVAL, SceneSums, resample_totals, sum_by_scene
 from benchmark.records.drives import DriveRecord, compute_column_values
+from benchmark.records.fault import FaultVerdict
 from benchmark.records.run import RunRecord
 
 SEPARATED: Final = 0.975
@@ -44,15 +45,19 @@ class PlannerRank:
     letters: str
 
 
-def sum_faults_by_scene(record: RunRecord) -> dict[str, tuple[float, float]]:
+def sum_faults_by_scene(record: RunRecord) -> dict[str, tuple[float, float]] | None:
     """Samples of each scene whose plan touches the adversary first at the planner's fault, up to 3 s, or that failed.
 
-    Beside them how many samples count. The record must say whom contacts are with (`compute_effect`).
+    Beside them how many samples count. The record must say whom contacts are with (`compute_effect`); ``None`` where it
+    does not say whose fault they are.
     """
     contacts, columns = collect_sample_contacts(record), record.columns
+    if contacts.unknown_fault[contacts.counted].any():
+        return None
+    at_fault = contacts.faults[FaultVerdict.EGO]
     totals: dict[str, tuple[float, float]] = {}
     counted = np.flatnonzero(contacts.counted).tolist()
-    found = [(columns.planned_scenes[row], float(contacts.at_fault[row, AT_3_S])) for row in counted]
+    found = [(columns.planned_scenes[row], float(at_fault[row, AT_3_S])) for row in counted]
     names = columns.values("scene")
     found += [(names[place], 1.0) for place in np.flatnonzero(columns.failed & columns.flags("complete")).tolist()]
     for scene, value in found:

@@ -294,7 +294,10 @@ def _table(group: ComparableDrives) -> Table:
         *(number_columns(_PUBLISHED[1], digits=1) if published else ()),
         *number_columns("failed", "drives", *([RANK] if own else [])),
     ]
-    ranks, rank_notes = _rank(group) if own else ([None] * len(group.rows), [])
+    ranks: Sequence[TableCell | None] = [None] * len(group.rows)
+    rank_notes: list[str] = []
+    if own:
+        ranks, rank_notes = _rank(group)
     own_notes = (_NOTE_CONTACT + _NOTE_STOP_ON[first.measured.rule or "contact"], _NOTE_SCORES)
     notes = (*(own_notes if own else _NOTES_NEURONCAP), *([_PUBLISHED_NOTE] if published else ()))
     also = [_NOTE_FURTHER.format(", ".join(sorted(names)))] if names else []

@@ -89,7 +89,9 @@ def effect_table(frame: DataSetRuns) -> Table | None:
             refused[f"Left out: {refusal}."] = None
         effects += [] if effect is None else [effect]
         rows.append({"planner": row_name(record, EXACT), "split": record.run.split, **_values(effect)})
-    rank_notes = _add_ranks(rows, [record for record in runs if knows_contact_partners(record)], runs)
+    # Whom contacts are with must be known, and a record of older verdicts has no effect.
+    told_of = [effect.record for effect in effects if effect.touched is not None]
+    rank_notes = _add_ranks(rows, told_of, runs)
     lacking, few = (*_list_missing(runs, effects), *refused), _list_too_few(effects)
     # A note for intervals of other tables: this one's hold over few recordings, or are omitted.
     run_sentences = [note for note in run_notes(runs, ()) if note != FEW_NOTE]
@@ -115,20 +117,21 @@ def _add_ranks(rows: list[Values], known: Sequence[RunRecord], runs: Sequence[Ru
     """Add to the rows of the runs the ranks of those that say whom contacts are with, by split; notes on them."""
     notes = [RANK_NOTE.format("at fault 3s, lowest first", "sample")] if known else []
     for split in dict.fromkeys(record.run.split for record in known):
-        own = [record for record in known if record.run.split == split]
+        faults = [(record, sum_faults_by_scene(record)) for record in known if record.run.split == split]
+        told_of = [(record, totals) for record, totals in faults if totals is not None]
         contestants = [
             Contestant(
                 record.planner,
                 record.run.planner,
-                sum_faults_by_scene(record),
+                totals,
                 map_scenes_to_sources(record),
                 make_value_source(record, EXACT),
             )
-            for record in own
+            for record, totals in told_of
         ]
         cells, told = rank_cells(contestants, lower_is_better=True, unit=PERCENT)
         notes += [f"{split}: {note}" for note in told]
-        for record, cell in zip(own, cells, strict=True):
+        for (record, _), cell in zip(told_of, cells, strict=True):
             place = runs.index(record)
             rows[place] = {**rows[place], RANK: cell}
     return notes

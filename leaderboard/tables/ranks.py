@@ -50,7 +50,7 @@ def rank_cells(
         alone = len(own) == 1
         ranks = rank_planners([each.totals for each in own], source_of, lower_is_better=lower_is_better, seed=seed)
         scenes = find_shared_scenes([each.totals for each in own])
-        for place, each, rank in zip(places, own, ranks or [None] * len(own)):
+        for place, each, rank in zip(places, own, ranks or ()):
             if rank is not None:
                 ends = format_interval(scale * rank.low, scale * rank.high, digits=digits)
                 text = " ".join(dict.fromkeys((UNDEFINED if alone else _describe_rank(rank, group), ends)))

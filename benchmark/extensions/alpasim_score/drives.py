@@ -8,7 +8,7 @@ from shapely.geometry.base import BaseGeometry
 
 from benchmark.closed_loop.default_engine import PRIMING_STEPS
 from benchmark.closed_loop.episodes import Episode
-from benchmark.closed_loop.scoring import load_scored_road
+from benchmark.closed_loop.fault_attribution import load_scored_road
 from benchmark.closed_loop.world_state import compute_ego_boxes
 from benchmark.extensions.alpasim_score.bodies import build_bodies
 from benchmark.extensions.alpasim_score.scene_score import (

@@ -59,9 +59,9 @@ def _draw_wright_map(fit: AbilityFit, theme: PlotTheme) -> Figure:
     if placed:
         extreme = np.array([scene.passed in (0, scene.ran) for scene in placed])
         at = (bins + 0.5) * _BINS
-        size = {"markersize": 4.0 if tallest <= 20 else 80.0 / tallest}
-        panels[1].plot(at[~extreme], stacks[~extreme] + 0.5, "o", color=theme.contact, **size)
-        panels[1].plot(at[extreme], stacks[extreme] + 0.5, "o", color=theme.contact, mfc="none", **size)
+        size = 4.0 if tallest <= 20 else 80.0 / tallest
+        panels[1].plot(at[~extreme], stacks[~extreme] + 0.5, "o", color=theme.contact, markersize=size)
+        panels[1].plot(at[extreme], stacks[extreme] + 0.5, "o", color=theme.contact, mfc="none", markersize=size)
         panels[1].set_ylim(0, tallest + 0.5)
         panels[1].set_yticks([])
         panels[1].set_title(

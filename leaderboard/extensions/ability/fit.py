@@ -143,7 +143,10 @@ class AbilityFit(Stored):
     @model_validator(mode="after")
     def _agree(self) -> Self:
         planners, scenes = len(self.planners), len(self.scenes)
-        shapes = [(self.values, planners, scenes), (self.better, planners, planners)]
+        shapes: list[tuple[list[Any], int, int]] = [
+            (self.values, planners, scenes),
+            (self.better, planners, planners),
+        ]
         draws = len(self.kept.theta)
         shapes += [(self.kept.theta, draws, planners)]
         items = ("log_alpha", "beta", *(("omega", "g0", "apart") if self.kind == "score" else ()))

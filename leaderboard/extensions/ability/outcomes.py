@@ -118,6 +118,8 @@ def _read_runs(runs: Iterable[RunRecord], kind: Kind) -> Iterable[_Part]:
         if not (has_adversaries(record) and knows_contact_partners(record)):
             continue
         totals = sum_faults_by_scene(record)
+        if totals is None:
+            continue
         values = {
             scene: float(faults == 0.0) if kind == "contact" else 1.0 - faults / samples
             for scene, (faults, samples) in totals.items()
