@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from benchmark.constants import CAMERA_NAMES
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, transform_matrix, yaw_of_quaternion
-from benchmark.planning import CameraView, EgoState, Observation
+from benchmark.planning import CameraView, EgoState, NoViewsError, Observation, SceneInfo
 from benchmark.scene import Camera
 
 NUSCENES_IMAGE: Final = (1600, 900)
@@ -150,6 +150,18 @@ def can_bus_vector(ego: EgoState, *, repeat_w: bool = True, after: bool = False)
     vector[17] = heading_deg + 360 if heading_deg < 0 else heading_deg
     vector[16] = np.radians(vector[17])
     return vector
+
+
+def require_views(planner: str, scene: SceneInfo) -> None:
+    """Refuse a rig that has cameras, but none for some views, which no sample could then be planned of."""
+    there = [camera.name for camera in scene.cameras]
+    missing = [name for name in CAMERA_NAMES if name not in there]
+    if there and missing:
+        raise NoViewsError(
+            f"{planner} needs {', '.join(CAMERA_NAMES)}, and the rig of scene {scene.name} has no camera for "
+            f"{', '.join(missing)} (it has {', '.join(there)}); say with --cameras which camera is which view, or "
+            "choose a planner that needs fewer"
+        )
 
 
 def _six_views(observation: Observation) -> list[CameraView]:

@@ -10,7 +10,7 @@ import torch
 from torch import nn
 
 from adapters.as_published import CAN_AFTER, CROSS_SCENES
-from adapters.camera_inputs import NetworkImageFormat, PixelNormalisation
+from adapters.camera_inputs import NetworkImageFormat, PixelNormalisation, require_views
 from adapters.networks.layers.reporting import ReportingRules, find_distinct, limit_steering
 from adapters.networks.layers.resnet import fold_normalisation, use_channels_last
 from benchmark.constants import FARTHEST_WAYPOINT_M, PLAN_STEPS
@@ -85,7 +85,11 @@ class NativePlanner(ABC, Generic[Network]):
         }
 
     def reset(self, scene: SceneInfo) -> None:
-        """Forget the previous scene, unless memory outlives it as in the published runs."""
+        """Forget the previous scene, unless memory outlives it as in the published runs.
+
+        A scene some of whose views have no camera is refused (`require_views`).
+        """
+        require_views(self.name, scene)
         if not self.memory_crosses_scenes:
             self.begin_run()
 

@@ -23,7 +23,7 @@ from adapters.planners.names import (
     require_known,
 )
 from benchmark.errors import InputError
-from benchmark.machine.address import is_address
+from benchmark.machine.address import find_scheme, is_address
 from benchmark.machine.extension import OFFERS, import_reference
 from benchmark.machine.several_devices import find_own_device
 from benchmark.machine.storage import file_sha256
@@ -35,7 +35,7 @@ from benchmark.sandbox.limits import SandboxLimits
 from benchmark.sandbox.planner import PlannerIdentity, PlannerSpec, find_identity, make_sandboxed_planner
 
 _MAKER_OF_NETWORKS = "adapters.checkpoints.loading:build_native_planner"
-_MAKER_OVER_HTTP = OFFERS["planner scheme"]["http"]
+_MAKERS_BY_SCHEME = OFFERS["planner scheme"]
 _CONTRACT = ("reset", "plan")
 _LONGEST_NAME = 100
 _BUILT_FROM = "adapters.registry:build_planner_with_facts"
@@ -186,8 +186,8 @@ def build_planner(
         maker = _import(MODELS[name].planner, name)
     elif name in installed:
         maker = _load(installed[name])
-    elif is_address(name):
-        maker = partial(import_reference(_MAKER_OVER_HTTP), name)
+    elif (scheme := find_scheme(name)) is not None:
+        maker = partial(import_reference(_MAKERS_BY_SCHEME[scheme]), name)
     else:
         add_current_folder()
         maker = _import(name, name)
@@ -205,8 +205,8 @@ def build_planner(
 def describe_maker(name: str) -> str:
     """Class or function that made a planner, as ``package.module:name``."""
     installed = installed_planners()
-    if is_address(name):
-        return _MAKER_OVER_HTTP
+    if (scheme := find_scheme(name)) is not None:
+        return _MAKERS_BY_SCHEME[scheme]
     if name in MODELS:
         return MODELS[name].planner if MODELS[name].network is None else _MAKER_OF_NETWORKS
     return f"{installed[name].module}:{installed[name].attr}" if name in installed else name

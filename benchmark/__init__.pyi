@@ -61,6 +61,7 @@ from benchmark.errors import InputError as InputError
 from benchmark.evaluation import EvalSettings as EvalSettings
 from benchmark.evaluation import evaluate as evaluate
 from benchmark.evaluation import plan_shard as plan_shard
+from benchmark.extensions.alpasim_table.table import build_alpasim_table as build_alpasim_table
 from benchmark.extensions.cards.data_card import write_data_card as write_data_card
 from benchmark.extensions.cards.records_card import write_records_card as write_records_card
 from benchmark.extensions.cards.writing import CardSettings as CardSettings
@@ -72,7 +73,7 @@ from benchmark.extensions.exchange.exporting import export_scenarionet as export
 from benchmark.extensions.exchange.borrowed_names import export_nuscenes as export_nuscenes
 from benchmark.extensions.exchange.openscenario import export_openscenario as export_openscenario
 from benchmark.extensions.explain.pictures import explain as explain_protocols
-from benchmark.extensions.http.cli import serve_planner as serve_planner
+from benchmark.api.serving import serve_planner as serve_planner
 from benchmark.extensions.infos.exporting import InfoSettings as InfoSettings
 from benchmark.extensions.infos.exporting import export_infos as export_infos
 from benchmark.extensions.mcap.exporting import McapContents as McapContents
@@ -177,6 +178,9 @@ from generation.splits.packaged import list_packaged_splits as packaged_splits
 from generation.splits.packing import PackageContents as PackageContents
 from generation.splits.packing import pack_split as pack_split
 from generation.splits.unpacking import read_split_package as read_split_package
+from leaderboard.extensions.ability.cli import fit_abilities as fit_abilities
+from leaderboard.extensions.ability.cli import gather_recorded as gather_recorded
+from leaderboard.extensions.ability.next_scenes import choose_next_scenes as choose_next_scenes
 from leaderboard.extensions.films.cli import write_drive_films as write_drive_films
 from leaderboard.extensions.films.film import FilmSettings as FilmSettings
 from leaderboard.extensions.films.filming import write_films as write_films

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from benchmark.datasets.annotated_objects import require_annotated
-from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.scene_facts import add_truth_facts
 from benchmark.datasets.scene_names import resolve_names
 from benchmark.errors import InputError, did_you_mean
@@ -32,8 +31,8 @@ from benchmark.records.rows import SampleRows
 from benchmark.records.run import RunRecord, write_record
 from benchmark.records.run_schema import TruthFacts
 from benchmark.report.words import pluralise
-from benchmark.runs.caveats import list_run_caveats
-from benchmark.runs.judging import JudgedScenes, describe_data
+from benchmark.runs.caveats import list_camera_caveats, list_run_caveats
+from benchmark.runs.judging import JudgedScenes, describe_data, describe_given_names
 from benchmark.runs.pairing import name_partner
 from benchmark.runs.plan_rows import PlannerFactory, describe_sandbox_limits, open_plan_store, plan_scene, scene_key
 from benchmark.runs.planner_facts import build_planner_facts
@@ -311,7 +310,7 @@ def _evaluate_runs(
         shared["scene_facts"] = add_truth_facts(shared["scene_facts"], truths)
         return [
             # Rows are by scene and time, independent of the order in which scenes were planned.
-            _write_run(prepared, shared, own.in_order_of(scenes), spent, out, data.categories)
+            _write_run(prepared, shared, own.in_order_of(scenes), spent, out, data)
             for prepared, own, spent in zip(planned, rows, costs, strict=True)
         ]
 
@@ -322,19 +321,20 @@ def _write_run(
     rows: SampleRows,
     costs: Mapping[str, SceneCost | None],
     out: Path,
-    categories: CategoryNames,
+    data: "DataSet",
 ) -> RunRecord:
     facts, settings, directory = planned.run.planner, planned.settings, planned.run.directory
+    known = (*getattr(planned.factory, "caveats", ()), *list_camera_caveats(facts, data, planned.scenes))
     run_facts = {
         **shared,
-        "caveats": list_run_caveats(facts, shared["scene_facts"], rows, getattr(planned.factory, "caveats", ())),
+        "caveats": list_run_caveats(facts, shared["scene_facts"], rows, known),
         "planner": facts,
         "plans_from": getattr(planned.factory, "plans_from", None),
         "config": {
             "protocols": list(settings.protocols),
             "seed": settings.seed,
             **describe_sandbox_limits(planned.factory),
-            **({"categories": dict(categories)} if categories else {}),
+            **describe_given_names(data),
         },
     }
     versions = {name: find_protocol(name).version for name in settings.protocols}

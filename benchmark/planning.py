@@ -257,7 +257,7 @@ class PlannerAwayError(PlannerGoneError):
 
 
 class NoViewsError(InputError):
-    """A planner needs images, and the world that it drives in has no cameras: not a failure of the planner."""
+    """A planner needs images of cameras that the world, or the rig, does not have: not a failure of the planner."""
 
 
 class PlannerLateError(InputError):
@@ -277,6 +277,10 @@ class PlannerFailedError(Exception):
         super().__init__(line)
         self.text = text
         self.looked = looked
+
+
+class ModelFailedError(Exception):
+    """A model behind a server answered no plan: it failed, and the sentence says how."""
 
 
 class PlannerLostError(PlannerFailedError):
@@ -313,6 +317,49 @@ class RemotePlanner(Protocol):
 
     def come_back(self) -> None:
         """Wait for it; raises `PlannerGoneError` if it stays away."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ride:
+    """The ego's motion in a scene up to now, and the recorded path without its times. Global frame, rear axle, metres.
+
+    Attributes:
+        times_us: (F,) of all poses that are known, the last one now.
+        position: (F, 3).
+        rotation: (F, 4) quaternions.
+        path: (P, 3) where the recorded car went, from the beginning of the scene to its end.
+        recorded_us: Until when the car is where it was recorded.
+        step_us: Until the next plan is asked for.
+    """
+
+    times_us: NDArray[np.int64]
+    position: Floats
+    rotation: Floats
+    path: Floats
+    recorded_us: int
+    step_us: int = 500_000
+
+
+@dataclass(frozen=True, slots=True)
+class AnswerNote:
+    """What was peculiar in an answer that was taken all the same; ``ends_drive`` where the planner wants no more."""
+
+    text: str = ""
+    ends_drive: bool = False
+
+
+@runtime_checkable
+class SessionPlanner(RemotePlanner, Protocol):
+    """A planner elsewhere with a session for each scene, in which poses between the samples and a route are sent."""
+
+    def take_ride(self, ride: Ride) -> None:
+        """Called before each `Planner.plan`."""
+
+    def take_note(self) -> AnswerNote:
+        """Of the last answer; it is forgotten."""
+
+    def end_session(self) -> None:
+        """The scene is over. Nothing is raised, and nothing happens without a session."""
 
 
 @runtime_checkable

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from benchmark.constants import EGO_BODY_WIDTH_M, EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M
 from benchmark.geometry import Bools, Floats, quaternion_from_yaw, yaw_of_quaternion
 from benchmark.report.terminal import html_table
-from benchmark.road_map import RoadMap
+from benchmark.road_map import Handedness, RoadMap
 
 
 class Conditions(StrEnum):
@@ -201,6 +201,8 @@ class Scene:
         road_map: Map, possibly cropped to the scene's surroundings.
         adversaries: Instance identifiers of generated adversaries.
         sweep_poses: Poses of the single sensors; ``None`` where all sensors share the ego pose of the frame.
+        driving_side: Side that traffic keeps to, as somebody said; ``None``: it has to be found
+            (`benchmark.fairness.fault_roads`).
     """
 
     name: str
@@ -219,6 +221,7 @@ class Scene:
     road_map: RoadMap
     adversaries: tuple[str, ...] = ()
     sweep_poses: SweepPoses | None = None
+    driving_side: Handedness | None = None
 
     def __repr__(self) -> str:
         return f"<Scene {self.name}: {self.seconds[-1]:.1f} s, {len(self.agents.ids)} road users, {self.look.value}>"

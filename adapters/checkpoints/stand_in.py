@@ -5,13 +5,13 @@ from pathlib import Path
 
 from adapters.models import MODELS, miniatures
 from benchmark.errors import InputError
-from benchmark.machine.workspace import EMBEDDED_NAMES, weights_root
+from benchmark.machine.workspace import is_embedded_name, weights_root
 from benchmark.weights.catalogue import CHECKPOINTS, PublishedWeights
 
 
 def stand_in(name: str, checkpoint: Path | None, data_name: str) -> str:
     """Name of the model that really runs: a miniature on embedded data if the full model has no weights."""
-    if checkpoint is not None or data_name not in EMBEDDED_NAMES:
+    if checkpoint is not None or not is_embedded_name(data_name):
         return name
     small = miniature_of(name)
     return name if small is None or has_weights(name) else small

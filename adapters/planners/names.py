@@ -7,7 +7,7 @@ from pathlib import Path
 
 from adapters.models import MODELS
 from benchmark.errors import InputError, did_you_mean
-from benchmark.machine.address import Address, is_address
+from benchmark.machine.address import SCHEMES, Address, is_address
 from benchmark.machine.extension import list_offers
 
 ENTRY_POINT_GROUP = "challenger_bench.adapters"
@@ -22,7 +22,7 @@ def require_known(name: str) -> None:
     """Raise `InputError` for what names no planner; nothing of it is imported."""
     known = (*MODELS, *installed_planners())
     if is_address(name):
-        if (called := Address.of(name, "--model").name) in known:
+        if (called := Address.of(name, "--model", SCHEMES).name) in known:
             raise InputError(f"{called} is already the name of a planner; give the server at {name} another name")
         return
     module, colon, attribute = name.partition(":")

@@ -56,6 +56,10 @@ def _magicdrive(file: Path, work: Path) -> None:
     shutil.copytree(Path(__file__).parents[2] / "tests/golden/parity/magicdrive", file)
 
 
+def _irt(file: Path, work: Path) -> None:
+    shutil.copytree(Path(__file__).parents[2] / "tests/golden/irt", file)
+
+
 INPUTS: Final[dict[str, Callable[[Path, Path], None]]] = {
     "rules.toml": _rules,
     "verdicts.json": _verdicts,
@@ -63,5 +67,6 @@ INPUTS: Final[dict[str, Callable[[Path, Path], None]]] = {
     "expected.json": _expected,
     "networks": _networks,
     "magicdrive": _magicdrive,
+    "irt": _irt,
 }
 """By name: what writes the file or folder, given where, and the work folder of the start's tree."""

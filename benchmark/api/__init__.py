@@ -24,7 +24,6 @@ from benchmark.api.opening import (
 )
 from benchmark.api.sources import select_matching_options as select_matching_options
 from benchmark.api.planners import (
-    NEEDS_SERVE as NEEDS_SERVE,
     PlannerSource as PlannerSource,
     load_planner as load_planner,
     find_runnable_model as find_runnable_model,
@@ -40,8 +39,10 @@ from benchmark.api.sources import (
 )
 from benchmark.api.opening import notify_once as notify_once, notify as notify
 from benchmark.api.presentation import (
+    find_in_extension as find_in_extension,
     stale_leaderboard as stale_leaderboard,
     write_leaderboard as write_leaderboard,
     write_sheets as write_sheets,
 )
+from benchmark.api.serving import find_serving_protocol as find_serving_protocol, serve_planner as serve_planner
 from benchmark.api.verifying import verify as verify

@@ -51,6 +51,7 @@ def drive_settings(
     limit: int | None = None,
     executor: "Executor | None" = None,
     timeout_s: float = 120.0,
+    plan_hz: int = 2,
     seed: int = 0,
     adversarial: bool | None = None,
 ) -> "DriveSettings":
@@ -81,13 +82,15 @@ def drive_settings(
             with that of a scenario file of NeuroNCAP (``FILE.yaml``).
         target: Of recorded scenes in NeuroNCAP's engine: whose velocity the reference speed of the score is relative
             to, that of the scene's ``adversary``, or ``none``, as NeuroNCAP has it without a scenario.
-        until: What ends a drive before its time: ``contact``, any; ``fault``, one that is the ego's fault, and another
-            object that touches it otherwise is gone from the next planning instant on. NeuroNCAP's engine ends at any.
+        until: What ends a drive before its time: ``contact``, any; ``fault``, one that is the ego's fault by our rule
+            (docs/fault.md), ``fault@nuplan`` by nuPlan's, and another object that touches it otherwise is gone from the
+            next planning instant on. NeuroNCAP's engine ends at any.
         runs: Runs of each scene; one where nothing is drawn.
         scenes: Only these scenes.
         limit: Only the first so many.
         executor: Where drives are made; this process by default.
         timeout_s: How long a plan may take.
+        plan_hz: How often planners are asked in a second: 2, as nuScenes' are trained, or 10, in the default engine.
         seed: Of the intervals.
         adversarial: Whether scenes have adversaries; by the split's name by default.
 
@@ -107,6 +110,8 @@ def drive_settings(
     from benchmark.records.seed_splits import is_adversarial
     from benchmark.runs.driving import DriveSettings
 
+    if plan_hz not in (2, 10) or (plan_hz != 2 and engine != ENGINE):
+        raise InputError(f"--plan-hz {plan_hz} needs --engine default, and is 2 or 10; leave it out")
     adversarial = is_adversarial(split) if adversarial is None else adversarial
     agents, window = choose_world(engine, agents, window, adversarial=adversarial)
     drivers = [driver.value for driver in REFERENCE_DRIVER_KINDS]
@@ -144,6 +149,7 @@ def drive_settings(
         limit=limit,
         executor=executor or LocalProcesses(),
         timeout_s=timeout_s,
+        plan_hz=plan_hz,
         seed=seed,
         window=window,
     )

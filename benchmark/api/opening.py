@@ -63,12 +63,13 @@ def open_data(
     rates: "FaultList | None" = None,
     sweeps: bool = False,
     categories: str | Path | None = None,
+    cameras: str | Path | None = None,
 ) -> "DataSet":
     """Open a data set; the embedded one is built into the user's cache the first time.
 
     Args:
-        data: ``mini`` (embedded), ``demo`` (the small town of `benchmark.demo`), or the root of a nuScenes-format data
-            set.
+        data: ``mini`` (embedded; ``mini@1`` is its first version), ``demo`` (the small town of `benchmark.demo`), or
+            the root of a nuScenes-format data set.
         tables: Version folder below the root, if there are several.
         workers: Processes that build the embedded data set; 0 takes all processors.
         out: Folder below which the small town of the demo lies.
@@ -78,33 +79,38 @@ def open_data(
             at 12 Hz; they are drawn when they are asked for, and no table changes by it.
         categories: What categories mean that are not nuScenes': ``short``, ``lyft``, ``t4``, ``argoverse2``, or a JSON
             file ``{"name": "nuscenes.category"}`` (docs/data.md).
+        cameras: Which camera is which view: a rig's name or a JSON file (docs/extensions/own_recordings.md).
 
     Returns:
         The data set.
 
     Raises:
-        InputError: If there is no such data set, or it is broken; if there is no such map of categories.
+        InputError: If there is no such data set, or it is broken; if there is no such map of categories or rig.
     """
-    from benchmark.datasets.categories import read_categories
+    from benchmark.datasets.categories import read_names
     from benchmark.datasets.roots import open_data as open_root
-    from benchmark.machine.workspace import DEMONSTRATED, EMBEDDED, cache_root, is_finished
-    from generation.sources.mini import TownSettings, build_town_data_set
+    from benchmark.machine.workspace import DEMONSTRATED, cache_root, is_finished, read_embedded_version
 
     if str(data) == DEMONSTRATED:
+        from generation.sources.mini import TownSettings, build_town_data_set
+
         town = open_root(workspace(out).demonstrated("val"), name=DEMONSTRATED)
         if sweeps:
             build_town_data_set(
                 town.root, TownSettings(val_scenes=len(town.scene_names("val"))), workers=worker_count(workers)
             )
         return town
-    if str(data) != EMBEDDED:
-        named = None if categories is None else read_categories(str(categories))
+    if read_embedded_version(str(data)) is None:
+        named = read_names(*(None if name is None else str(name) for name in (categories, cameras)))
         return open_root(Path(data), version=tables, rates=rates, categories=named)
-    settings = TownSettings(pictures="all" if sweeps else "keyframes")
-    root = cache_root() / settings.folder_name(EMBEDDED)
+    from generation.sources.embedded import find_town
+
+    embedded = find_town(str(data))
+    pictures: Literal["all", "keyframes"] = "all" if sweeps else "keyframes"
+    root = cache_root() / embedded.folder_name()
     if not is_finished(root):
-        notify(f"building the embedded data set in {root} (once, about {_TOWN_TAKES[settings.pictures]})")
-    return open_root(build_town_data_set(root, settings, workers=worker_count(workers)), name=EMBEDDED)
+        notify(f"building the embedded data set in {root} (once, about {_TOWN_TAKES[pictures]})")
+    return open_root(embedded.build(root, pictures, worker_count(workers)), name=embedded.name)
 
 
 def open_split(
@@ -128,7 +134,7 @@ def open_split(
     Raises:
         InputError: If the split has not been generated, or was made from another version of the source.
     """
-    from benchmark.machine.workspace import EMBEDDED, GENERATED_SPLITS
+    from benchmark.machine.workspace import GENERATED_SPLITS, read_embedded_version
 
     def build() -> Path:
         if split == "adv":
@@ -145,9 +151,8 @@ def open_split(
         build_split(source, split, settings)
         return target
 
-    return workspace(out).open_split(
-        source, split, build=build if source.name == EMBEDDED and split in GENERATED_SPLITS else None
-    )
+    is_town = read_embedded_version(source.name) is not None
+    return workspace(out).open_split(source, split, build=build if is_town and split in GENERATED_SPLITS else None)
 
 
 def build_frozen_root(source: "DataSet", workers: int = 0) -> Path:
@@ -171,12 +176,15 @@ def known_scenes(data: str | Path, split: str, out: Path = OUT) -> "tuple[str, .
     Raises:
         InputError: If what was generated cannot be read.
     """
-    from benchmark.machine.workspace import EMBEDDED
+    from benchmark.machine.workspace import read_embedded_version
+
+    if read_embedded_version(str(data)) is None or split != "adv":
+        return None
+    from generation.sources.embedded import find_town
     from generation.splits.cached import list_scene_names as known
 
-    if str(data) != EMBEDDED or split != "adv":
-        return None
-    return known(EMBEDDED, split, workspace(out).split_root(EMBEDDED, split))
+    name = find_town(str(data)).name
+    return known(name, split, workspace(out).split_root(name, split))
 
 
 def schematic_renderer(size: tuple[int, int] = DEFAULT_IMAGE_SIZE) -> "Renderer":

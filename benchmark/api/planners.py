@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from benchmark.sandbox.limits import SandboxLimits
     from generation.pipeline.surrogate import PlannerUnderTest
 
-NEEDS_SERVE: Final = "{what} needs the package {package}; install it with: pip install 'challenger-bench[serve]'"
 _DEVICE: Final = re.compile(r"auto|cpu|cuda(:\d+)?")
 _PRECISIONS: Final = ("float32", "bfloat16")
 
@@ -48,7 +47,8 @@ def load_planner(
         precision: Of a network: float32 or bfloat16.
         as_published: What a network does as in its published runs: ``memory``, ``can-once``, ``can-after``, or ``all``
             that it knows of these (docs/models.md).
-        over_http: How a model server is asked: ``image_format``, ``deadline_s``, and the ``frame`` of its answers.
+        over_http: How a model server is asked: ``image_format``, ``deadline_s``, and the ``frame`` of its answers; or
+            ``remote_cameras`` of a policy at ``grpc://`` (docs/extensions/alpasim.md).
         supervision: Limits of a planner of another package, which runs in a process of its own (docs/planners.md).
         options: Values of the options that the planner's extension declares (docs/extending.md).
 
@@ -180,23 +180,26 @@ class PlannerSource:
                 "--frame is for plan files and models at http://HOST:PORT; a class states its frame with "
                 "PlanFrame in its Plan; leave --frame out"
             )
+        if self.frame is not None and any(scheme == "grpc" for scheme in self._served.values()):
+            raise InputError("--frame is for models at http://; a policy at grpc:// has a frame; leave --frame out")
 
     def require_servers(self, sensor: str = "none", *, tensors: bool = False) -> None:
         """Refuse servers that do not answer or would get no pictures, and options of servers where none is named."""
         from benchmark.machine.address import Address, is_address
-        from benchmark.machine.extension import import_from_extension, require_package
+        from benchmark.machine.extension import import_from_extension, require_extra
 
         if self.image_format is not None and not self._served:
-            raise InputError("--image-format applies only to a model at http://HOST:PORT; leave it out")
+            raise InputError("--image-format applies only to a model at http:// or grpc://HOST:PORT; leave it out")
         if tensors and not is_address(sensor):
             raise InputError("--accept-torch-tensors is only for a renderer at --sensor http://HOST:PORT; leave it out")
         require_sensor(sensor)
-        if not self._served and not is_address(sensor):
-            return
-        require_package("httpx2", NEEDS_SERVE.format(what="asking over HTTP", package="httpx2"))
-        for name in self._served:
-            import_from_extension("planner scheme", "http")(name).require_alive()
+        for name, scheme in self._served.items():
+            own = self.of_extensions.get(scheme, {})
+            if self.image_format is not None:
+                own = {**own, "image_format": self.image_format}
+            import_from_extension("planner scheme", scheme)(name, **own).require_alive()
         if is_address(sensor):
+            require_extra("httpx2", "asking over HTTP", "serve")
             import_from_extension("sensor", "http")(Address.of(sensor, "--sensor")).require_alive()
 
     def remembers_across_scenes(self) -> bool:
@@ -237,7 +240,8 @@ class PlannerSource:
 
     def load(self, supervision: "SandboxLimits | None" = None) -> "list[NamedPlanner]":
         """Load them; ``supervision`` replaces the limits that options name."""
-        http_options = {"image_format": self.image_format, "frame": self.frame, "deadline_s": self.deadline_s}
+        served = {"image_format": self.image_format, "frame": self.frame, "deadline_s": self.deadline_s}
+        of_served = {name: {**served, **self.of_extensions.get(scheme, {})} for name, scheme in self._served.items()}
         return [
             load_planner(
                 planner_name,
@@ -247,7 +251,7 @@ class PlannerSource:
                 device=self.device,
                 precision=self.precision,
                 as_published=self.as_published,
-                over_http={name: value for name, value in http_options.items() if value is not None},
+                over_http={name: value for name, value in of_served.get(planner_name, {}).items() if value is not None},
                 supervision=supervision or self.supervision,
                 options=self.of_extensions.get(planner_name),
             )
@@ -262,10 +266,11 @@ class PlannerSource:
         )
 
     @property
-    def _served(self) -> list[str]:
-        from benchmark.machine.address import is_address
+    def _served(self) -> dict[str, str]:
+        """Schemes of planners elsewhere, by their addresses."""
+        from benchmark.machine.address import find_scheme
 
-        return [name for name in self.names if is_address(name)]
+        return {name: scheme for name in self.names if (scheme := find_scheme(name)) is not None}
 
 
 def require_device(name: str) -> None:

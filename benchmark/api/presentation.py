@@ -1,7 +1,7 @@
 """Scene sheets and the leaderboard, from everything that an output folder holds."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from benchmark.api.opening import OUT, notify_once, workspace
 from benchmark.machine.extension import AbsentExtensionError, import_from_extension
@@ -113,9 +113,22 @@ def _collect_results(out: Path, folders: "Sequence[Path] | None") -> "Leaderboar
     records = [] if no_runs else with_reproductions(find_records(*roots), find_reproductions(roots))
     records = [with_cost(record, roots, space.timings_of) for record in records]
     challenges = _with_tables("challenges", find_scores(space.challenge_root()))
+    abilities = find_in_extension("records", "abilities", out, records, drives)
     from leaderboard.frame.results import read_results
 
-    return read_results(records, quality, sheets, ablations, drives, challenges)
+    return read_results(records, quality, sheets, ablations, drives, challenges, abilities)
+
+
+def find_in_extension(kind: str, name: str, out: Path, *given: Any) -> "list[Any]":
+    """Whatever an extension makes of its folder below an output folder; nothing where that is missing, or it is."""
+    if not (out / name).is_dir():
+        return []
+    try:
+        found: list[Any] = import_from_extension(kind, name)(out, *given)
+    except AbsentExtensionError as absent:
+        notify_once(f"the {name} below {out} are not shown: {absent}")
+        return []
+    return found
 
 
 def _with_tables(kind: str, records: "list[_Record]") -> "list[_Record]":

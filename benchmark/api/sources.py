@@ -52,7 +52,8 @@ class DataSource:
     """A data set (``mini``, ``demo`` or a root) that is checked at once and opened, or built, when it is needed.
 
     ``workers`` processes build what is absent, 0 takes all processors. ``categories`` says what those mean that are not
-    nuScenes'.
+    nuScenes', ``driving_side`` to which side traffic keeps, ``left`` or ``right``, ``cameras`` which of these is which
+    view.
     """
 
     data: str
@@ -60,13 +61,15 @@ class DataSource:
     out: Path = OUT
     workers: int = 0
     categories: str | None = None
+    driving_side: str | None = None
+    cameras: str | None = None
 
     def __post_init__(self) -> None:
         worker_count(self.workers)
-        if self.categories is not None:
-            from benchmark.datasets.categories import read_categories
+        if (self.categories, self.cameras) != (None, None):
+            from benchmark.datasets.categories import read_names
 
-            read_categories(self.categories)
+            read_names(self.categories, self.cameras)
 
     @classmethod
     def of(cls, options: Any, **others: Any) -> "DataSource":
@@ -76,7 +79,7 @@ class DataSource:
 
     def open(self, *, sweeps: bool = False, rates: "FaultList | None" = None) -> "DataSet":
         """Open it; arguments and errors as in `benchmark.api.open_data`."""
-        return open_data(
+        opened = open_data(
             self.data,
             tables=self.tables,
             workers=self.workers,
@@ -84,16 +87,25 @@ class DataSource:
             rates=rates,
             sweeps=sweeps,
             categories=self.categories,
+            cameras=self.cameras,
         )
+        return self._with_side(opened)
+
+    def _with_side(self, data: "DataSet") -> "DataSet":
+        if self.driving_side is None:
+            return data
+        from benchmark.road_map import Handedness
+
+        return data.with_driving_side(Handedness(self.driving_side))
 
     def open_split(self, split: str, source: "DataSet | None" = None) -> "DataSet":
         """Open a split of it, whose data set may be open already; errors as in `benchmark.api.open_split`."""
-        return open_split(source or self.open(), split, self.out, workers=self.workers)
+        return self._with_side(open_split(source or self.open(), split, self.out, workers=self.workers))
 
     def require(self, scenes: Sequence[str] | None = None) -> SourcePreview:
         """Refuse an unknown data set, or scenes that are not in it; as `require_split` for any split."""
         if self._is_mini:
-            return _preview_embedded("val", self.out, scenes, None)
+            return _preview_embedded(self.name, "val", self.out, scenes, None)
         return SourcePreview(_choose_scenes(self._listed(None), None, self.name_scenes(scenes), None))
 
     def require_source(
@@ -102,8 +114,8 @@ class DataSource:
         """Refuse what nothing can be generated from; as `require_split`, with scenes that may be of any split."""
         if self._is_mini:
             if split != "val":
-                raise InputError(f"the embedded data set mini has no split {split!r}; its only split is val")
-            return _preview_embedded("val", self.out, scenes, limit)
+                raise InputError(f"the embedded data set {self.name} has no split {split!r}; its only split is val")
+            return _preview_embedded(self.name, "val", self.out, scenes, limit)
         of_split, scenes = self._listed(split), self.name_scenes(scenes)
         return SourcePreview(_choose_scenes(of_split if scenes is None else self._listed(None), split, scenes, limit))
 
@@ -116,7 +128,7 @@ class DataSource:
         from benchmark.machine.workspace import format_generate_options, is_finished, is_generated
 
         if self._is_mini:
-            return _preview_embedded(split, self.out, scenes, limit)
+            return _preview_embedded(self.name, split, self.out, scenes, limit)
         name = Path(self.data).resolve().name
         split_folder = workspace(self.out).split_root(name, split)
         is_built = is_generated(split) and is_finished(split_folder)
@@ -140,7 +152,8 @@ class DataSource:
                 raise InputError(f"{name} has no split {split!r}; did you mean {split.lower()}?") from error
             if not is_generated(split) or not all_scenes:
                 raise
-            given = format_options(data=self.data, tables=self.tables, categories=self.categories)
+            names = {"categories": self.categories, "cameras": self.cameras}
+            given = format_options(data=self.data, tables=self.tables, **names)
             raise NoSuchSplitError(
                 f"split {split!r} of {name} is missing at {split_folder}; build it with: challenger-bench generate"
                 f"{given} {format_generate_options(split)}{format_options(out=self.out)}",
@@ -157,20 +170,24 @@ class DataSource:
     @property
     def name(self) -> str:
         """Its name in records."""
+        if self._is_mini:
+            from generation.sources.embedded import find_town
+
+            return find_town(self.data).name
         return self.data if self.is_embedded else Path(self.data).resolve().name
 
     @property
     def is_embedded(self) -> bool:
-        """Whether it is made here: ``mini`` or ``demo``."""
-        from benchmark.machine.workspace import EMBEDDED_NAMES
+        """Whether it is made here: ``mini``, ``mini@1`` or ``demo``."""
+        from benchmark.machine.workspace import is_embedded_name
 
-        return self.data in EMBEDDED_NAMES
+        return is_embedded_name(self.data)
 
     @property
     def _is_mini(self) -> bool:
-        from benchmark.machine.workspace import EMBEDDED
+        from benchmark.machine.workspace import read_embedded_version
 
-        return self.data == EMBEDDED
+        return read_embedded_version(self.data) is not None
 
     @property
     def _root(self) -> Path:
@@ -197,40 +214,35 @@ def estimate_town_bytes(scenes: int, size: tuple[int, int] = DEFAULT_IMAGE_SIZE,
     return round(scenes * _IMAGES_OF_A_SCENE[frames] * size[0] * size[1] * _BYTES_OF_A_PIXEL)
 
 
-def _preview_embedded(split: str, out: Path, scenes: Sequence[str] | None, limit: int | None) -> SourcePreview:
+def _preview_embedded(
+    name: str, split: str, out: Path, scenes: Sequence[str] | None, limit: int | None
+) -> SourcePreview:
     """The embedded data set, of which everything is known before it is built."""
-    from benchmark.machine.workspace import (
-        EMBEDDED,
-        GENERATED_SPLITS,
-        cache_root,
-        format_generate_options,
-        is_finished,
-    )
+    from benchmark.machine.workspace import GENERATED_SPLITS, cache_root, format_generate_options, is_finished
     from benchmark.records.seed_splits import parse_seed
 
     splits = ("val", *GENERATED_SPLITS)
-    if parse_seed(split) is not None and not is_finished(made_by_seed := workspace(out).split_root(EMBEDDED, split)):
+    if parse_seed(split) is not None and not is_finished(made_by_seed := workspace(out).split_root(name, split)):
         raise InputError(
-            f"split {split!r} of {EMBEDDED} is missing at {made_by_seed}; build it with: challenger-bench generate "
+            f"split {split!r} of {name} is missing at {made_by_seed}; build it with: challenger-bench generate "
             f"{format_generate_options(split)}{format_options(out=out)}"
         )
     if parse_seed(split) is None and split not in splits:
         raise InputError(
-            f"the embedded data set mini has no split {split!r}; {did_you_mean(split, splits)}it has "
+            f"the embedded data set {name} has no split {split!r}; {did_you_mean(split, splits)}it has "
             f"{', '.join(splits)}"
         )
     # Slow to import; a split of another name is refused before.
     from benchmark.datasets.scene_names import resolve_names_below
     from benchmark.datasets.statistics import list_scenes
-    from generation.sources.mini import TownSettings
-    from generation.sources.town.scenes import list_town_scene_names
+    from generation.sources.embedded import find_town
     from generation.splits.packaged import read_newest_split
 
-    settings, split_folder = TownSettings(), workspace(out).split_root(EMBEDDED, split)
-    root, recorded = cache_root() / settings.folder_name(EMBEDDED), list_town_scene_names("val", settings.val_scenes)
+    town, split_folder = find_town(name), workspace(out).split_root(name, split)
+    root, recorded = cache_root() / town.folder_name(), town.scene_names()
     builds = []
     if not is_finished(root):
-        needed = estimate_town_bytes(settings.val_scenes, frames="keyframes")
+        needed = estimate_town_bytes(len(recorded), frames="keyframes")
         require_place(root, "CHALLENGER_BENCH_CACHE")
         require_room(root, needed, "the embedded data set", "CHALLENGER_BENCH_CACHE")
         builds.append(f"the embedded data set in {root} (once, about a minute, {format_gigabytes(needed)})")
@@ -240,7 +252,7 @@ def _preview_embedded(split: str, out: Path, scenes: Sequence[str] | None, limit
         scenes = resolve_names_below(split_folder, scenes)
         return SourcePreview(_choose_scenes(list_scenes(split_folder, split), split, scenes, limit), tuple(builds))
     if split == "adv":
-        frozen = read_newest_split(EMBEDDED)
+        frozen = read_newest_split(name)
         builds += _list_frozen_builds(frozen)
         made_names = tuple(sorted(scene.name for scene in frozen.frozen.scenes))
         return SourcePreview(_choose_scenes(made_names, split, scenes, limit), tuple(builds))

@@ -26,6 +26,7 @@ from benchmark.cli import (
     models,
     packages,
     rescoring,
+    serve,
     show,
     verify,
     weights,
@@ -175,6 +176,9 @@ add_command(data.app, "pack", packages.data_pack_command)
 add_command(data.app, "unpack", packages.data_unpack_command)
 add_command_of_extension("data card", _GROUPS)
 add_command_of_extension("leaderboard card", _GROUPS)
+add_command_of_extension("leaderboard export-alpasim", _GROUPS)
+add_command_of_extension("leaderboard ability", _GROUPS)
+add_command_of_extension("leaderboard next", _GROUPS)
 _add("data", data.app, _GROUPS)
 _add("leaderboard", show.leaderboard_app, _GROUPS)
 add_command_of_extension("challenge", _GROUPS)
@@ -193,7 +197,7 @@ add_command_of_extension("film", _GROUPS)
 add_command(app, "rescore", rescoring.rescore_command)
 add_command(app, "ablate", ablate.ablate_command)
 add_command_of_extension("reproduce", _GROUPS)
-add_command_of_extension("serve", _GROUPS)
+add_command(app, "serve", serve.serve_command)
 add_command(app, "verify", verify.verify_command)
 add_command(app, "doctor", verify.doctor_command)
 add_commands_of_others(_GROUPS)

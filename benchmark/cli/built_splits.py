@@ -58,7 +58,13 @@ class BuildOutcome:
 def list_splits_to_build(options: "GenerateOptions", data: "DataSource") -> tuple[SplitToBuild, ...]:
     """Splits that a command builds, one without ``--seeds``; recordings are opened only to compare edited scenes."""
     from generation.splits.format import require_freezable
-    from generation.splits.packaged import format_seed_path, parse_seeds, read_frozen_of_seed, read_frozen_split
+    from generation.splits.packaged import (
+        format_seed_path,
+        parse_seeds,
+        read_frozen_of_seed,
+        read_frozen_split,
+        require_town,
+    )
 
     split, seed, from_file, freeze = options.split, options.seed, options.from_file, options.freeze
     if from_file is not None:
@@ -93,6 +99,8 @@ def list_splits_to_build(options: "GenerateOptions", data: "DataSource") -> tupl
             for split_seed in parse_seeds(options.seeds)
         )
     for split_to_build in splits:
+        if split_to_build.frozen is not None:
+            require_town(split_to_build.frozen, data.name)
         if split_to_build.freeze is not None:
             require_freezable(split_to_build.split, split_to_build.freeze)
     return splits

@@ -107,10 +107,14 @@ def data_stats_command(options: DataStatsOptions) -> None:
     numbers = statistics(root, split=options.split, version=options.tables)
     judged = None if options.judge is False else _assess_scenes(root, options, recordings)
     traffic = _measure_traffic(root, options, recordings) if options.traffic else None
+    # A generated split lies in a folder of its data set's name.
+    names = {data.name, Path(options.root).resolve().parent.name}
+    difficulties = api.find_in_extension("statistics", "abilities", options.out, names, options.split)
     if options.json_output:
         parts = {"judgement": judged, "traffic": traffic}
         dumped = {name: None if part is None else part.model_dump(mode="json") for name, part in parts.items()}
-        print_json({**numbers.as_json(), **dumped})
+        fitted = {"difficulty": [table.as_json() for table in difficulties]} if difficulties else {}
+        print_json({**numbers.as_json(), **dumped, **fitted})
         return
     from benchmark.fairness.assessment_tables import format_assessment, format_traffic
 
@@ -119,6 +123,8 @@ def data_stats_command(options: DataStatsOptions) -> None:
         typer.echo("\n" + format_assessment(judged), nl=False)
     if traffic is not None:
         typer.echo("\n" + format_traffic(traffic), nl=False)
+    for table in difficulties:
+        typer.echo("\n" + table.plain(), nl=False)
 
 
 def _assess_scenes(
@@ -154,6 +160,11 @@ class DataShowOptions:
     root: shared.Root
     to: Annotated[Path, Option("Folder for the pictures.", "Output")]
     conditions: Annotated[bool, Option("Draw what MagicDriveDiT would be told.", "Output")] = False
+    contact: Annotated[
+        Path | None,
+        Option("Record of runs or drives: draw the worst contact of each scene and whose fault it is.", "Input"),
+    ] = None
+    driving_side: shared.DrivingSide = None
     out: shared.Out = api.OUT
     tables: shared.Tables = None
     scenes: shared.Scenes = None
@@ -169,6 +180,9 @@ def data_show_command(options: DataShowOptions) -> None:
     data, scenes = api.DataSource.of(options), parse_name_list(options.scenes)
     data.require(scenes)
     require_place(options.to, "--to")
+    if options.contact is not None:
+        _draw_contacts(options, data, scenes)
+        return
     from benchmark.datasets.scene_names import resolve_names
     from benchmark.machine.extension import import_from_extension
     from generation.render.pictures import write_pictures
@@ -181,6 +195,27 @@ def data_show_command(options: DataShowOptions) -> None:
     typer.echo(f"{pluralise(len(written), 'picture')} in {options.to}")
 
 
+def _draw_contacts(options: DataShowOptions, data: api.DataSource, scenes: tuple[str, ...] | None) -> None:
+    """A picture of the worst contact of each scene of a record, with both ways and when each came into the other's."""
+    from itertools import islice
+
+    from benchmark.fairness.contact_fault import judge_contact, load_roads
+    from benchmark.machine.storage import sanitise_file_name
+    from benchmark.report.contact_pictures import write_contact_picture
+    from benchmark.runs.contact_tracing import open_with_data, trace_worst_contacts
+
+    assert options.contact is not None
+    record, opened = open_with_data(options.contact, data.open_split)
+    count = 0
+    for contact in islice(trace_worst_contacts(record, opened, scenes), options.limit):
+        name = sanitise_file_name(f"{contact.scene.name}-{contact.planner}-{contact.index}")
+        title = f"{contact.planner} on {contact.scene.name}, {contact.moment}"
+        fault = judge_contact(contact.scene, contact.tracks)
+        write_contact_picture(options.to / f"{name}.png", contact.tracks, load_roads(contact.scene), fault, title)
+        count += 1
+    typer.echo(f"{pluralise(count, 'picture')} in {options.to}")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DataCheckOptions:
     """Options of ``data check``."""
@@ -188,16 +223,17 @@ class DataCheckOptions:
     root: Annotated[Path, Option("Root of a data set.", "Input", names="")]
     tables: shared.Tables = None
     categories: shared.Categories = None
+    cameras: shared.Cameras = None
     json_output: shared.Json = False
 
 
 @command(DataCheckOptions, app, "check")
 def data_check_command(options: DataCheckOptions) -> None:
     """Look for faults in the tables and files of a data set."""
-    from benchmark.datasets.categories import read_categories
+    from benchmark.datasets.categories import read_names
     from benchmark.datasets.schema.check import check_tables
 
-    named = None if options.categories is None else read_categories(options.categories)
+    named = read_names(options.categories, options.cameras)
     faults = check_tables(options.root, version=options.tables, categories=named)
     errors = sum(fault.severity == "error" for fault in faults)
     if options.json_output:

@@ -24,7 +24,7 @@ from benchmark.cli.output import (
 )
 from benchmark.cli.settings import Option, command, take_options
 from benchmark.errors import InputError
-from benchmark.machine.address import is_address
+from benchmark.machine.address import find_scheme, is_address
 from benchmark.report.words import format_options
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class DriveOptions:
     RARE: ClassVar = (
         *("tables", "categories", "adversary_every", "adversary_others", "adversary_rounds", "adversary_candidates"),
         *("adversary_tracks", "keep_considered", "image_format", "frame", "accept_torch_tensors", "scenarios"),
-        *("target", "timeout", "memory_limit", "precision", "address"),
+        *("target", "timeout", "memory_limit", "precision", "address", "cameras", "driving_side"),
     )
 
     model: shared.Models = ()
@@ -91,9 +91,16 @@ class DriveOptions:
         Option("adversary: expects that the ego drives its plan, keeps its motion, or stays.", "Search"),
     ] = "motion"
     latency: Annotated[int, Option("Delay before a plan takes effect, ms.", "Search", min=0)] = 0
+    plan_hz: Annotated[
+        Literal["2", "10"],
+        Option("How often planners are asked in a second; policies are trained for theirs.", "Search"),
+    ] = "2"
     until: Annotated[
-        Literal["contact", "fault"],
-        Option("What ends a drive: any contact, or one that is the ego's fault (others who touch it go).", "Search"),
+        Literal["contact", "fault", "fault@nuplan"],
+        Option(
+            "What ends a drive: any contact, or one that is the ego's fault by fault@1 or nuPlan's rule (others go).",
+            "Search",
+        ),
     ] = "contact"
     runs: Annotated[int, Option("Runs of each scene; one where nothing is drawn.", "Search", min=1)] = 1
     workers: shared.Workers = 0
@@ -103,6 +110,8 @@ class DriveOptions:
     shard: shared.Shard = None
     tables: shared.Tables = None
     categories: shared.Categories = None
+    driving_side: shared.DrivingSide = None
+    cameras: shared.Cameras = None
     adversary_every: Annotated[float, Option("adversary: seconds between its plans, at most 3.", "Search")] = 1.0
     adversary_others: Annotated[
         Literal["replay", "idm"], Option("adversary: how everybody else behaves.", "Search")
@@ -160,7 +169,7 @@ def drive_command(options: DriveOptions) -> None:
     if not names:
         raise InputError("name a planner with --model (for example constant-velocity), or leave --no-baselines out")
     # A little longer than the drive's own limit, so that a late planner is reported for one reason only.
-    own = take_options("planner", options.model)
+    own = take_options("planner", [find_scheme(name) or name for name in options.model])
     planners = api.PlannerSource.of(options, deadline_s=options.timeout + 5.0, of_extensions=own).require()
     supervision = replace(planners.supervision, sample_s=options.timeout)
     for planner in planners.runnable_names:
@@ -185,8 +194,7 @@ def drive_command(options: DriveOptions) -> None:
         print_plan([*dict.fromkeys(line for lines in drives for line in lines)], json_output=options.json_output)
         return
     # Planners first: importing a class of another package may fail, and data may take minutes to build.
-    loading = replace(planners, image_format=options.image_format or "torch", frame=options.frame or "ego")
-    loaded = dict(zip(options.model, loading.load(supervision)))
+    loaded = dict(zip(options.model, planners.load(supervision)))
     factories = [
         loaded[planner] if planner in loaded else api.load_planner(planner, data=options.data) for planner in names
     ]
@@ -266,6 +274,7 @@ def _settings(
         adversarial=adversarial,
         adversary_every_s=options.adversary_every,
         latency_ms=options.latency,
+        plan_hz=int(options.plan_hz),
         timeout_s=options.timeout,
         scenes=scenes,
         executor=place,
@@ -283,6 +292,11 @@ def _require_engine(options: DriveOptions) -> None:
             )
         if latency:
             raise InputError(f"{engine} does not simulate latency; leave --latency out or use --engine default")
+        if options.plan_hz != "2":
+            raise InputError(
+                f"planners are asked every half second in {engine}; leave --plan-hz {options.plan_hz} out or use "
+                "--engine default"
+            )
         if options.until != "contact":
             raise InputError(
                 f"every collision ends a run of {engine}; leave --until {options.until} out or use --engine default"

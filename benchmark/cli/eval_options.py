@@ -18,7 +18,7 @@ class EvalOptions:
 
     RARE: ClassVar = (
         *("tables", "categories", "results_format", "name", "native", "frame", "as_is", "dump_results", "unchanged"),
-        *("precision", "image_format", "sample_limit", "memory_limit", "explain_protocols"),
+        *("precision", "image_format", "sample_limit", "memory_limit", "explain_protocols", "cameras", "driving_side"),
     )
 
     model: shared.Models = ()
@@ -55,6 +55,8 @@ class EvalOptions:
     shard: shared.Shard = None
     tables: shared.Tables = None
     categories: shared.Categories = None
+    driving_side: shared.DrivingSide = None
+    cameras: shared.Cameras = None
     results_format: Annotated[
         str, Option("With --results: auto tells it by content (docs/your-results.md).", "Input", names="--format")
     ] = "auto"

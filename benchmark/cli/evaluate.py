@@ -25,6 +25,7 @@ from benchmark.cli.output import (
 from benchmark.cli.settings import command, is_given, take_options
 from benchmark.cli.splits import choose_splits, describe_default
 from benchmark.errors import InputError
+from benchmark.machine.address import find_scheme
 from benchmark.report.words import format_options, pluralise
 
 if TYPE_CHECKING:
@@ -124,7 +125,7 @@ def eval_command(options: EvalOptions) -> None:
     # What is quick to refuse comes before what is slow to import.
     _require_planner(options)
     _require_name(options)
-    own = take_options("planner", options.model)
+    own = take_options("planner", [find_scheme(name) or name for name in options.model])
     planners = api.PlannerSource.of(options, of_extensions=own).require()
     protocols, scenes = _protocols_to_show(options.protocol), parse_name_list(options.scenes)
     shard = parse_shard(options.shard)

@@ -16,7 +16,7 @@ from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
-    from benchmark.metrics.failures import Failures
+    from benchmark.metrics.failures import Failure, Failures
     from benchmark.records.drives import DriveRecord
     from benchmark.records.run import RunRecord
     from benchmark.records.store import RecordIdentity
@@ -31,6 +31,7 @@ class FailuresOptions:
     data: shared.Data = "mini"
     tables: shared.Tables = None
     categories: shared.Categories = None
+    cameras: shared.Cameras = None
     out: shared.Out = api.OUT
     drives: Annotated[bool, Option("Failures of its drives in closed loop instead.", "Input")] = False
     limit: Annotated[int, Option("Only the first so many scenes.", "Output", min=1)] = 10
@@ -153,7 +154,7 @@ def _list_film_commands(
     except AbsentExtensionError:
         # The site plays it.
         return [*first, f"challenger-bench leaderboard{repeat_out_option(options.out)}"]
-    again = _name_scene(scene, replace(options, categories=None))
+    again = _name_scene(scene, replace(options, categories=None, cameras=None))
     film = f"challenger-bench film{' --drives' if options.drives else ''} {again} --model {quote(record.planner)}"
     film += f" --records {quote(str(record.directory))}" if several else ""
     # Without PyAV an animated WebP, with frames for a minute at most.
@@ -179,6 +180,11 @@ def _has_sheet(scene: str, record: "RunRecord | DriveRecord", options: FailuresO
     return shows and (scene_folder(root, data.name, split, scene) / SHEET_FILE).is_file()
 
 
+def _describe(failure: "Failure") -> dict[str, Any]:
+    fault = failure.fault
+    return {**asdict(failure), "fault": None if fault is None else fault.model_dump(mode="json")}
+
+
 def _as_json(failures: "Failures", options: FailuresOptions, *, several: bool) -> dict[str, Any]:
     record, limit = failures.record, options.limit
     return {
@@ -196,11 +202,11 @@ def _as_json(failures: "Failures", options: FailuresOptions, *, several: bool) -
                 "scene": scene.scene,
                 "counted": scene.counted,
                 "failed": len(scene.failures),
-                "worst": asdict(scene.failures[0]),
+                "worst": _describe(scene.failures[0]),
                 "film": _list_film_commands(scene.scene, record, options, several),
             }
             for scene in failures.scenes[:limit]
         ],
-        "worst": [asdict(failure) for failure in failures.worst[:limit]],
+        "worst": [_describe(failure) for failure in failures.worst[:limit]],
         "crashes": [asdict(crash) for crash in failures.crashes[:limit]],
     }

@@ -20,7 +20,7 @@ class GenerateOptions:
     EXTENDED: ClassVar = ("renderer",)
 
     RARE: ClassVar = (
-        *("address", "tables", "categories", "source_split", "surrogate_checkpoint", "sample_limit"),
+        *("address", "tables", "categories", "cameras", "source_split", "surrogate_checkpoint", "sample_limit"),
         *("memory_limit", "variants", "top", "rounds", "parked", "denoiser", "calls", "dropout", "samples"),
         *("together", "layout", "size", "render_size", "written_size", "prompt_look", "lossless"),
         *("weights_folder", "render_device", "tflops", "seeds", "keep_rounds", "profile"),
@@ -71,6 +71,7 @@ class GenerateOptions:
     address: shared.Address = None
     tables: shared.Tables = None
     categories: shared.Categories = None
+    cameras: shared.Cameras = None
     source_split: Annotated[str, Option("Split of the data set to start from.", "Input")] = "val"
     surrogate_checkpoint: Annotated[Path | None, Option("Weights of the surrogate.", "Search")] = None
     sample_limit: shared.SampleLimit = None

@@ -14,7 +14,9 @@ if TYPE_CHECKING:
     from benchmark.runs.units import Shard as ShardOfScenes
 
 
-Models = Annotated[tuple[str, ...], Option("Planner, package.module:Class or http://HOST:PORT; repeatable.", "Planner")]
+Models = Annotated[
+    tuple[str, ...], Option("Planner, package.module:Class, http:// or grpc://HOST:PORT; repeatable.", "Planner")
+]
 Checkpoint = Annotated[Path | None, Option("Weights of the model.", "Planner")]
 NetworkDevices = Annotated[
     str | None,
@@ -35,6 +37,18 @@ Categories = Annotated[
     str | None,
     Option(
         "What categories that are not nuScenes' mean: short, lyft, t4, argoverse2 or a JSON file (docs/data.md).",
+        "Input",
+    ),
+]
+DrivingSide = Annotated[
+    Literal["left", "right"] | None,
+    Option("Side that traffic keeps to; by default found from lanes and place (docs/fault.md).", "Input"),
+]
+Cameras = Annotated[
+    str | None,
+    Option(
+        "Which camera is which view: nuscenes, nuplan, argoverse2, waymo, front, directions or a JSON file "
+        "(docs/extensions/own_recordings.md).",
         "Input",
     ),
 ]
@@ -100,8 +114,12 @@ Executor = Annotated[
 ]
 Address = Annotated[str | None, Option("HOST:PORT of the Ray cluster, or auto.", "Execution")]
 ImageFormat = Annotated[
-    Literal["torch", "png", "auto"] | None,
-    Option("How a model at http:// is sent pictures: torch (NeuroNCAP's), png, or auto, which tries both.", "Planner"),
+    Literal["torch", "png", "auto", "jpeg"] | None,
+    Option(
+        "How a model is sent pictures: at http:// torch (NeuroNCAP's), png, or auto, which tries both; at grpc:// jpeg "
+        "or png.",
+        "Planner",
+    ),
 ]
 PlanFrame = Annotated[
     Literal["lidar", "ego"] | None,

@@ -75,8 +75,9 @@ def print_next_steps(where: str, *steps: Step, json_output: bool) -> None:
 
 def repeat_data_options(options: DataLocation) -> str:
     """Options that name the same data and output folder again, with a space before; nothing where they are default."""
-    data, categories = None if options.data == "mini" else options.data, getattr(options, "categories", None)
-    return format_options(data=data, tables=options.tables, categories=categories) + repeat_out_option(options.out)
+    data = None if options.data == "mini" else options.data
+    given = {name: getattr(options, name, None) for name in ("categories", "cameras", "driving_side")}
+    return format_options(data=data, tables=options.tables, **given) + repeat_out_option(options.out)
 
 
 def repeat_out_option(out: Path) -> str:

@@ -105,6 +105,7 @@ def data_unpack_command(options: DataUnpackOptions) -> None:
     require_place(options.to, "--to")
     require_place(options.out, "--out")
     width, height = parse_image_size(options.size)
+    from generation.splits.packaged import require_town
     from generation.splits.unpacking import read_split_package, write_package_files
 
     package = read_split_package(options.package)
@@ -115,6 +116,7 @@ def data_unpack_command(options: DataUnpackOptions) -> None:
         chosen = package.split(options.split)
         named = chosen.chosen(parse_name_list(options.scenes), options.limit)
         recordings = api.DataSource.of(options)
+        require_town(chosen, recordings.name)
         recordings.require_source("val", tuple({scene.source for scene, _ in named}))
     elif options.split is not None:
         raise InputError("--split chooses what is built from recordings; add --data, or leave --split out")

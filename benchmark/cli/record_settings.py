@@ -7,6 +7,8 @@ plan and result files, devices, addresses of servers, a file of categories.
 from collections.abc import Mapping
 from typing import Any
 
+from benchmark.records.fault import FAULT, NUPLAN_FAULT
+
 _GIB = float(1 << 30)
 
 
@@ -46,11 +48,13 @@ def read_drive_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
         "engine": measured["engine"],
         "agents": measured["agents"],
         "window": measured.get("window", "scene"),
+        "plan_hz": str(measured.get("plan_hz", 2)),
         "sensor": sensor if sensor in ("none", "schematic") else None,
         "latency": measured.get("latency_ms"),
         "scenarios": scenario_facts.get("file", measured.get("scenarios")),
         "target": scenario_facts.get("target"),
-        "until": measured.get("until"),
+        # Older records call nuPlan's rule "fault".
+        "until": {"fault": NUPLAN_FAULT, FAULT: "fault"}.get(measured.get("until"), measured.get("until")),
         "runs": members.get("runs"),
         "timeout": config.get("timeout_s"),
         **({f"adversary_{name}": facts.get(fact_name) for name, fact_name in adversary.items()} if searched else {}),
@@ -86,6 +90,7 @@ def _read_common_options(members: Mapping[str, Any]) -> dict[str, Any]:
         "data": members["data"]["name"],
         "scenes": None if len(scenes) == members["scenes_in_split"] else scenes,
         "seed": members["seed"],
+        "driving_side": config.get("driving_side"),
         "memory_limit": None if memory is None else memory / _GIB,
     }
 

@@ -102,7 +102,7 @@ class TransferOptions:
 def transfer_command(options: TransferOptions) -> None:
     """Show who else fails the scenes that one planner fails: the surrogate-filtered matrix, from run records."""
     from benchmark.machine.path_checks import require_output_file
-    from benchmark.machine.workspace import EMBEDDED
+    from benchmark.machine.workspace import EMBEDDED, read_embedded_version
     from benchmark.metrics.disagreement import EXACT
     from benchmark.protocols import find_protocol as known_protocol
     from benchmark.records.run import NATIVE, find_records
@@ -175,7 +175,8 @@ def transfer_command(options: TransferOptions) -> None:
     print_tables(tables, wide=options.wide, verbose=options.verbose)
     for name, matrix in matrices.items():
         if name not in compared:
-            data = format_options(data=None if name == EMBEDDED else "ROOT", split=options.split, model="NAME")
+            given = "ROOT" if read_embedded_version(name) is None else None if name == EMBEDDED else name
+            data = format_options(data=given, split=options.split, model="NAME")
             typer.echo(f"{describe_single(name, matrix)}: challenger-bench eval{data}{repeat_out_option(options.out)}")
 
 

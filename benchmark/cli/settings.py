@@ -21,7 +21,13 @@ import typer
 
 from benchmark.cli.help import ARGUMENTS, CommandPanel, SettingsCommand
 from benchmark.errors import InputError, did_you_mean
-from benchmark.machine.extension import find_owner, import_from_extension, list_offers, warn
+from benchmark.machine.extension import (
+    AbsentExtensionError,
+    find_owner,
+    import_from_extension,
+    list_offers,
+    warn,
+)
 
 Panel = Literal["Input", "Output", "Planner", "Search", "Execution", "Advanced"]
 SETTINGS_PAGE: Final = "docs/settings.md"
@@ -131,6 +137,8 @@ def _list_extension_fields(kinds: Collection[str], core: Iterable[SettingField])
         owner = find_owner("options", of)
         try:
             fields = list_fields(import_from_extension("options", of))
+        except AbsentExtensionError:
+            continue
         except (InputError, TypeError, ValueError) as error:
             warn(f"the options of {of}, of the extension {owner}, are left out: {error}")
             continue

@@ -41,6 +41,7 @@ class SheetsOptions:
     out: shared.Out = api.OUT
     tables: shared.Tables = None
     categories: shared.Categories = None
+    cameras: shared.Cameras = None
     scenes: shared.Scenes = None
     limit: shared.Limit = None
     pictures: Annotated[
@@ -90,7 +91,9 @@ def sheets_command(options: SheetsOptions) -> None:
     written = api.write_sheets(dataset, split, root, settings)
     print_result(written.as_json(), written.sentence(), json_output=options.json_output)
     films = Path("films")
-    film = format_options(split=split, limit=1, to=films) + repeat_data_options(replace(options, categories=None))
+    film = format_options(split=split, limit=1, to=films) + repeat_data_options(
+        replace(options, categories=None, cameras=None)
+    )
     print_next_steps(
         f"sheets: {written.directory}",
         None if films.exists() else (f"film{film}", "film a scene; --model adds plans of evaluated planners"),

@@ -16,10 +16,10 @@ def _find_option(word: str) -> str:
     from adapters.models import MODELS
     from adapters.planners.names import installed_planners
     from benchmark.machine.address import is_address
-    from benchmark.machine.workspace import EMBEDDED_NAMES, is_generated
+    from benchmark.machine.workspace import is_embedded_name, is_generated
 
     path = Path(word)
-    if word in EMBEDDED_NAMES or path.is_dir():
+    if is_embedded_name(word) or path.is_dir():
         return "--data"
     if path.suffix in (".csv", ".parquet"):
         return "--plans"

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from benchmark.closed_loop.adversary import ADVERSARY, AdversarialPolicy, AdversaryFactory, AdversaryTrack
 from benchmark.closed_loop.agent_policy import AgentPolicy
+from benchmark.closed_loop.fault_attribution import EpisodeFaultAttribution
 from benchmark.closed_loop.idm_policy import IdmPolicy
 from benchmark.closed_loop.plan_tracking import INSTANTS, SUBSTEP_US, Ego
-from benchmark.closed_loop.scoring import EpisodeFaultAttribution
 from benchmark.closed_loop.simulation_config import build_log_replay, build_simulation_config, read_recorded_ego
 from benchmark.closed_loop.simulation_state import (
     CollisionEvent,
@@ -23,7 +23,13 @@ from benchmark.closed_loop.simulation_state import (
     require_enough_keyframes,
 )
 from benchmark.closed_loop.stepping import InfeasiblePlanError as UndrivableWaypointsError
-from benchmark.closed_loop.stepping import begin_simulation, is_running, require_drivable, step_together
+from benchmark.closed_loop.stepping import (
+    begin_simulation,
+    is_running,
+    require_drivable,
+    step_replanning,
+    step_together,
+)
 from benchmark.closed_loop.world_state import SimulationConfig, StepTrace, WorldState
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
@@ -50,6 +56,8 @@ def to_ego_columns(ego: Ego) -> Floats:
     return np.array([ego.x, ego.y, ego.yaw, ego.speed, ego.acceleration, ego.yaw_rate, ego.steering])
 
 
+_JITTER_US: Final = 20_000
+"""Of frames of a recording."""
 PRIMING_STEPS: Final = 2
 """Steps in which the ego is the recorded one, so that a planner with a memory has one (NeuroNCAP primes as long)."""
 
@@ -117,12 +125,19 @@ class DefaultBackend:
         """Half a second of several rides; those past priming are stepped together."""
         return [*_advance_together([cast(DefaultSimulationState, ride) for ride in rides], plans)]
 
+    def advance_replanning(
+        self, ride: SimulationState, plan: Plan, replan: Callable[[SimulationState], Plan]
+    ) -> SimulationState | RejectedPlanError:
+        """As of `benchmark.closed_loop.simulation_state.ReplanningBackend`."""
+        return cast(DefaultSimulationState, ride).advance_replanning(plan, replan)
+
     def begin(self, scene: Scene, run: int, can: RecordedCan, family: str = "") -> "DefaultSimulationState":
         """The ride at its first planning instant; refuses too short scenes, and unknown policies or latencies."""
         course = self.course(scene, run)
         first = int(scene.keyframes[0])
         motion, primed = build_recorded_motion(scene, first, first), self._span(scene)[0] + 1
-        return DefaultSimulationState(scene, course, begin_simulation(course), motion, primed)
+        blames = None if self.until == "contact" else EpisodeFaultAttribution(scene, self.until)
+        return DefaultSimulationState(scene, course, begin_simulation(course), motion, primed, blames)
 
     def course(self, scene: Scene, run: int) -> SimulationConfig:
         """The course of a run; raises `InputError` as `begin_simulation` does."""
@@ -139,7 +154,6 @@ class DefaultBackend:
             duration_s=(over_us - start_us) * 1e-6,
             seed=run,
             latency_us=self.latency_us,
-            blamed=EpisodeFaultAttribution(scene) if self.until == "fault" else None,
         )
 
     def _span(self, scene: Scene) -> tuple[int, int]:
@@ -168,7 +182,8 @@ class DefaultBackend:
 class DefaultSimulationState:
     """Ride of the default engine; ``world`` is that where driving starts, then now, ``motion`` everything so far.
 
-    ``primed`` are planning instants at which the ego is the recorded one.
+    ``primed`` are planning instants at which the ego is the recorded one. ``blames`` says if a contact is the ego's
+    fault, which only then ends the ride.
     """
 
     scene: Scene
@@ -176,6 +191,7 @@ class DefaultSimulationState:
     world: WorldState
     motion: EpisodeMotion
     primed: int = PRIMING_STEPS + 1
+    blames: EpisodeFaultAttribution | None = None
 
     @property
     def start(self) -> int:
@@ -229,10 +245,45 @@ class DefaultSimulationState:
         later = build_recorded_motion(self.scene, int(frames[ticks - 1]) + 1, int(frames[ticks]))
         return replace(self, motion=self.motion.then(later))
 
+    def advance_replanning(
+        self, plan: Plan, replan: Callable[[SimulationState], Plan]
+    ) -> "DefaultSimulationState | RejectedPlanError":
+        """As of `DefaultBackend.advance_replanning`."""
+        if (primed := self.advance_primed()) is not None:
+            first, last = (int(frame) for frame in self.scene.keyframes[len(self.motion.ticks) - 1 :][:2])
+            asked_us = int(self.scene.timestamps_us[first])
+            for frame in range(first + 1, last):
+                now_us = int(self.scene.timestamps_us[frame])
+                if min(now_us - asked_us, int(self.scene.timestamps_us[last]) - now_us) >= SUBSTEP_US - _JITTER_US:
+                    asked_us = now_us
+                    replan(replace(self, motion=self.motion.then(build_recorded_motion(self.scene, first + 1, frame))))
+            return primed
+        ahead_m = float(self.scene.lidar.translation[0])
+
+        def replan_waypoints(here: WorldState) -> Floats:
+            return compute_rear_axle_waypoints(replan(self.with_world(here)), ahead_m)
+
+        try:
+            waypoints = compute_rear_axle_waypoints(plan, ahead_m)
+            return self.with_world(step_replanning(self.course, self.world, waypoints, replan_waypoints))
+        except UndrivableWaypointsError as error:
+            return RejectedPlanError(str(error))
+
     def with_world(self, world: WorldState) -> "DefaultSimulationState":
         """In the world half a second later."""
         assert world.trace is not None
         return replace(self, world=world, motion=self.motion.then(self._trace_motion(self.world.time_us, world.trace)))
+
+    def remember_past(self) -> SimulationConfig:
+        """The course of the next step: who is to blame for a contact depends on all that went before."""
+        blames = self.blames
+        if blames is None:
+            return self.course
+
+        def blamed(contact: CollisionEvent, trace: StepTrace) -> bool:
+            return blames(contact, self.motion.then(self._trace_motion(self.world.time_us, trace)))
+
+        return replace(self.course, blamed=blamed)
 
     def finished(self) -> "DefaultSimulationState":
         """The same: every instant has been checked."""
@@ -276,7 +327,8 @@ def _advance_together(
         except UndrivableWaypointsError as error:
             later[place] = RejectedPlanError(str(error))
     moving = [rides[place] for place in driving]
-    worlds = step_together([ride.course for ride in moving], [ride.world for ride in moving], [*driving.values()])
+    courses = [ride.remember_past() for ride in moving]
+    worlds = step_together(courses, [ride.world for ride in moving], [*driving.values()])
     later |= {place: ride.with_world(world) for place, ride, world in zip(driving, moving, worlds, strict=True)}
     return [later[place] for place in range(len(rides))]
 

@@ -1,7 +1,7 @@
 """Engines by name: what ``--engine``, ``--agents`` and ``--latency`` mean together."""
 
 from collections.abc import Mapping
-from typing import Any, Final, get_args
+from typing import Any, Final
 
 from benchmark.closed_loop.adversary import ADVERSARY, AdversaryFactory, ScriptedTracks
 from benchmark.closed_loop.default_engine import AGENTS, DefaultBackend
@@ -11,7 +11,13 @@ from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.extension import OFFERS, call_extension, list_offers
 from benchmark.records.drive_schema import OF_FILE, RECORDED, SCENARIOS, ClosedLoopDefinition, StopCondition
 
-STOP_CONDITIONS: Final[tuple[StopCondition, ...]] = get_args(StopCondition)
+STOP_CONDITIONS: Final[Mapping[str, StopCondition]] = {
+    "contact": "contact",
+    "fault": "fault@1",
+    "fault@1": "fault@1",
+    "fault@nuplan": "fault@nuplan",
+}
+"""Events that end a drive, by what ``--until`` says."""
 
 
 def list_engines() -> tuple[str, ...]:
@@ -49,13 +55,14 @@ def make_backend(
         )
     if until not in STOP_CONDITIONS:
         raise InputError(
-            f"unknown --until {until!r}; {did_you_mean(until, STOP_CONDITIONS)}there are "
-            f"{' and '.join(STOP_CONDITIONS)}"
+            f"unknown --until {until!r}; {did_you_mean(until, STOP_CONDITIONS)}choose from {', '.join(STOP_CONDITIONS)}"
         )
     if engine == ENGINE:
         if scenarios != RECORDED or facts:
             raise InputError(f"scenarios need NeuroNCAP's engine; use --engine {engines[1]} or leave --scenarios out")
-        return DefaultBackend(agents, 1000 * latency_ms, adversary if agents == ADVERSARY else None, until)
+        return DefaultBackend(
+            agents, 1000 * latency_ms, adversary if agents == ADVERSARY else None, STOP_CONDITIONS[until]
+        )
     if agents != "replay" or latency_ms:
         raise InputError(f"road users of {engine} never react and plans take effect at once; use --engine {ENGINE}")
     if until != "contact":
@@ -83,6 +90,6 @@ def restore_backend(measured: ClosedLoopDefinition) -> SimulatorBackend:
         measured.latency_ms,
         measured.scenarios,
         stored,
-        measured.until,
+        measured.rule or "contact",
         measured.scenario_facts,
     )

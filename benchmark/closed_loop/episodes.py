@@ -5,8 +5,8 @@ Several drives can be under way side by side, which is faster where their engine
 
 import contextlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import Literal, cast
+from dataclasses import dataclass, field, replace
+from typing import Final, Literal, cast
 
 from benchmark.closed_loop.adversary import AdversaryTrack
 from benchmark.closed_loop.observation_builder import NoCameras, ObservationBuilder, SceneCameras, Sensor
@@ -17,16 +17,29 @@ from benchmark.closed_loop.simulation_state import (
     EpisodeMotion,
     RecordedCan,
     RejectedPlanError,
+    ReplanningBackend,
     SimulationState,
     SimulatorBackend,
 )
 from benchmark.errors import InputError
 from benchmark.machine.metering import Meter
-from benchmark.planning import CameraView, Command, NoViews, Plan, Planner, PrivilegedPlanner, SceneInfo
+from benchmark.planning import (
+    CameraView,
+    Command,
+    NoViews,
+    Plan,
+    Planner,
+    PrivilegedPlanner,
+    SceneInfo,
+    SessionPlanner,
+)
 from benchmark.records.drive_schema import NeuroncapScore
 from benchmark.records.encounter_window import EncounterWindow
+from benchmark.runs.plan_rows import build_ride
 from benchmark.scene import Camera, Scene
 
+USUAL_HZ: Final = 2
+"""How often planners are asked."""
 End = Literal["contact", "end", "failed"]
 """Cause of the end of an episode: a contact, the end of the scene, or the planner's failure."""
 
@@ -43,6 +56,8 @@ class Episode:
         neuroncap: The engine's own score; ``None`` of engines without one, and of a failed drive.
         adversary: Where an adversary went, if there was one that answers or was given its track.
         passed: Contacts before that did not end it; they are not the ego's fault.
+        between: Plans between two instants, of each, where the planner was asked more often.
+        notes: What was peculiar in answers that were taken all the same. ``terminated`` where the planner ended it.
         window: Part of the scene that was driven around an encounter, if only that was.
     """
 
@@ -58,6 +73,9 @@ class Episode:
     adversary: AdversaryTrack | None = None
     passed: tuple[CollisionEvent, ...] = ()
     window: EncounterWindow | None = None
+    between: tuple[tuple[Plan, ...], ...] = ()
+    notes: tuple[str, ...] = ()
+    terminated: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +83,7 @@ class EpisodeSpec:
     """One scene with one run, ready to be driven; ``family`` says which scenario of the scene, where it has any.
 
     ``can`` is measured motion at its keyframes; ``most_plans`` ends the drive after so many, to see how long it takes.
+    Planners are asked ``plan_hz`` times a second, 2 or 10.
     """
 
     scene: Scene
@@ -76,6 +95,7 @@ class EpisodeSpec:
     family: str = ""
     most_plans: int | None = None
     meter: Meter | None = None
+    plan_hz: int = USUAL_HZ
 
     @property
     def window(self) -> EncounterWindow | None:
@@ -125,7 +145,15 @@ def _defer_input_errors(errors: dict[int, InputError], place: int) -> Iterator[N
         errors[place] = error
 
 
+class _DriveOverError(Exception):
+    """The planner gave no plan between two planning instants: it failed, or ended the drive."""
+
+
 def _advance_simulations(seats: "Sequence[_Simulation]", plans: Sequence[Plan]) -> None:
+    if seats[0].stage.plan_hz != USUAL_HZ:
+        for seat, plan in zip(seats, plans, strict=True):
+            seat.advance_replanning(plan)
+        return
     later = seats[0].stage.maker.advance_together([seat.ride for seat in seats], plans)
     for seat, ride in zip(seats, later, strict=True):
         if isinstance(ride, RejectedPlanError):
@@ -146,6 +174,9 @@ class _Simulation:
     plans: list[Plan] = field(default_factory=list)
     commands: list[Command] = field(default_factory=list)
     stations: list[float] = field(default_factory=list)
+    between: list[tuple[Plan, ...]] = field(default_factory=list)
+    notes: dict[str, list[float]] = field(default_factory=dict)
+    terminated: bool = False
 
     @classmethod
     def of(cls, stage: EpisodeSpec, planner: Planner) -> "_Simulation":
@@ -156,7 +187,7 @@ class _Simulation:
         scene, ride = stage.scene, stage.maker.begin(stage.scene, stage.run, stage.can, stage.family)
         route, look = Route.of(scene), stage.sensor.look(scene)
         observer = ObservationBuilder.of(scene, stage.can, ride.start, ride.primed)
-        eyes = _PlannerInterface(scene, route, look, observer, stage.timeout_s, stage.meter)
+        eyes = _PlannerInterface(scene, route, look, observer, stage.timeout_s, stage.meter, stage.plan_hz)
         failure = notify_planner(
             planner, lambda: _introduce_scene(planner, scene, look.cameras, route), stage.timeout_s
         )
@@ -164,19 +195,61 @@ class _Simulation:
 
     def planned(self) -> Plan | None:
         """The plan of this instant; ``None`` where the drive has ended or the planner fails."""
-        if self.failure is not None or not self.ride.is_running or len(self.plans) == self.stage.most_plans:
+        if self.failure is not None or self.terminated or not self.ride.is_running:
+            return None
+        if len(self.plans) == self.stage.most_plans:
             return None
         ride, route = self.ride, self.eyes.route
         place = route.place(ride.motion.ego[-1], self.stations[-1] if self.stations else None)
         self.stations.append(place.station)
         seconds, own = route.seconds_of(int(ride.motion.times_us[-1])), ride.command
         self.commands.append(route.command(place.station, seconds) if own is None else own)
-        plan = self.eyes.planned(self.planner, ride, self.commands[-1])
-        if isinstance(plan, Failure):
-            self.failure = plan
+        plan = self._ask(self.eyes, ride)
+        if plan is None:
+            if self.terminated:
+                del self.commands[-1], self.stations[-1]
             return None
         self.plans.append(plan)
         return plan
+
+    def _ask(self, eyes: "_PlannerInterface", ride: SimulationState) -> Plan | None:
+        """A plan now; none where the planner fails or ends the drive."""
+        plan = eyes.planned(self.planner, ride, self.commands[-1])
+        if isinstance(self.planner, SessionPlanner):
+            note, seconds = self.planner.take_note(), eyes.route.seconds_of(int(ride.motion.times_us[-1]))
+            if note.text:
+                self.notes.setdefault(note.text, []).append(seconds)
+            self.terminated = note.ends_drive
+            if self.terminated:
+                return None
+        if isinstance(plan, Failure):
+            self.failure = plan
+            return None
+        return plan
+
+    def advance_replanning(self, plan: Plan) -> None:
+        """Half a second, with plans at the instants between; where there is none, the drive ended where it began."""
+        between: list[Plan] = []
+        eyes = self.eyes.between_keyframes()
+
+        def replan(ride: SimulationState) -> Plan:
+            made = self._ask(eyes, ride)
+            if made is None:
+                raise _DriveOverError
+            between.append(made)
+            return made
+
+        try:
+            later = cast(ReplanningBackend, self.stage.maker).advance_replanning(self.ride, plan, replan)
+            if isinstance(later, RejectedPlanError):
+                self.failure = Failure(FailureReason.UNUSABLE, str(later))
+            else:
+                self.ride = later
+        except _DriveOverError:
+            if self.terminated:
+                del self.plans[-1], self.commands[-1], self.stations[-1]
+                return
+        self.between.append(tuple(between))
 
     def ended(self) -> Episode:
         """The finished episode."""
@@ -196,7 +269,15 @@ class _Simulation:
             adversary=ride.adversary,
             passed=() if failed else ride.passed,
             window=self.stage.window,
+            between=tuple(self.between),
+            notes=tuple(_format_note(text, times) for text, times in self.notes.items()),
+            terminated=self.terminated,
         )
+
+
+def _format_note(text: str, seconds: Sequence[float]) -> str:
+    again = f", and {len(seconds) - 1} times more" if len(seconds) > 1 else ""
+    return f"{seconds[0]:.1f} s: {text}{again}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,13 +290,22 @@ class _PlannerInterface:
     observer: ObservationBuilder
     timeout_s: float
     meter: Meter | None
+    plan_hz: int
+
+    def between_keyframes(self) -> "_PlannerInterface":
+        """Where nothing was measured: motion is that of the poses."""
+        return replace(self, observer=replace(self.observer, can=self.observer.can.at(slice(0))))
 
     def planned(self, planner: Planner, ride: SimulationState, command: Command) -> Plan | Failure:
         """The plan of this instant; the privileged see the world as driven, and none sees its future."""
         views: dict[str, CameraView] = NoViews()
         reveals = isinstance(planner, PrivilegedPlanner) and not isinstance(planner, RouteFollower)
-        if reveals or not isinstance(self.look, NoCameras):
+        if reveals or isinstance(planner, SessionPlanner) or not isinstance(self.look, NoCameras):
             driven = build_driven_scene(self.scene, self.route, ride.motion)
+            if isinstance(planner, SessionPlanner):
+                until = int(ride.motion.times_us[ride.motion.ticks[: ride.primed][-1]])
+                last, step_us = len(driven.timestamps_us) - 1, 1_000_000 // self.plan_hz
+                planner.take_ride(build_ride(driven, self.scene.ego.position, last, until, step_us))
             if reveals:
                 failure = notify_planner(
                     planner, lambda: cast(PrivilegedPlanner, planner).reveal(driven), self.timeout_s

@@ -142,13 +142,13 @@ def _name_failure(failure: BaseException) -> str:
 
 
 def notify_planner(planner: Planner, tell: Callable[[], None], timeout_s: float) -> Failure | None:
-    """Tell a planner something; why it failed, if it did, unless it cannot be told (`PlannerGoneError`)."""
+    """Tell a planner something; why it failed, if it did, unless it cannot be told or refuses the rig's views."""
     try:
         with contextlib.redirect_stdout(sys.stderr), _time_limit_of(planner, timeout_s):
             tell()
     except PlanTimeoutError:
         return Failure(FailureReason.TIMEOUT, f"the call did not return within {timeout_s:g} s")
-    except PlannerGoneError:
+    except (NoViewsError, PlannerGoneError):
         raise
     except PlannerLateError as error:
         return Failure(FailureReason.TIMEOUT, str(error))

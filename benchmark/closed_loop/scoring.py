@@ -5,25 +5,26 @@ without what nuScenes lacks; fault during an episode is told by the same rules a
 """
 
 import math
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections import ChainMap
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 import shapely
 
 from benchmark.closed_loop.episodes import Episode
+from benchmark.closed_loop.fault_attribution import is_lane_ambiguous, load_scored_road, trace_contact
 from benchmark.closed_loop.nuplan import DrivenPart
-from benchmark.closed_loop.plan_tracking import Ego
 from benchmark.closed_loop.route import Route, build_driven_scene, hold_last_frame
 from benchmark.closed_loop.simulation_state import SUBSTEPS, CollisionEvent
 from benchmark.constants import PLAN_STEPS
+from benchmark.fairness.contact_fault import attribute_contact
 from benchmark.geometry import Bools, Floats, box_corners
 from benchmark.interactions.contacts import (
     AHEAD_RAD,
     BEHIND_RAD,
     KINDS,
-    ContactKind,
     ContactPairs,
     compute_bearing,
     compute_delta_v,
@@ -31,8 +32,7 @@ from benchmark.interactions.contacts import (
     is_at_fault,
     mass_kg,
 )
-from benchmark.machine.identity_cache import IdentityCache
-from benchmark.pdm import definition as pdm
+from benchmark.machine.extension import call_installed
 from benchmark.pdm.collision_scores import STANDING_M_S
 from benchmark.pdm.definition import SPEED, STATE_COLUMNS
 from benchmark.pdm.plan_motion import check_comfort, compute_comfort_series, compute_extremes
@@ -40,51 +40,14 @@ from benchmark.pdm.plan_scoring import score_scene_plans
 from benchmark.pdm.road_polygons import (
     RoadPolygons,
     RoadPositions,
-    build_road_polygons,
-    build_route,
     compute_footprints,
     locate_on_road,
 )
 from benchmark.pdm.scoring import measure_along_route, score_direction_compliance
 from benchmark.planning import Plan
 from benchmark.records.drive_schema import HdScore, NuplanTerms, ScoredContact
+from benchmark.records.fault import StoredFault
 from benchmark.scene import Scene
-
-
-def _read_recorded_road(scene: Scene) -> tuple[Floats, RoadPolygons]:
-    line = build_route(scene.ego.pose)
-    return line, build_road_polygons(scene.road_map, line)
-
-
-load_scored_road: Final = IdentityCache[Scene, tuple[Floats, RoadPolygons]](_read_recorded_road, kept=4)
-"""(M, 2) recorded route of a scene and the surfaces along it, which all drives of the scene are scored by."""
-
-
-def is_lane_ambiguous(road: RoadPolygons, where: RoadPositions) -> Bools:
-    """(B, T) whether the ego is in several lanes or off the drivable area; nowhere on a map without road or lanes."""
-    return (where.multiple_lanes | where.non_drivable) & bool(road.drivable and road.lanes)
-
-
-@dataclass(frozen=True, slots=True)
-class EpisodeFaultAttribution:
-    """Judge of whether a contact is the ego's fault, from the recorded scene with its map. Picklable."""
-
-    scene: Scene
-
-    def __call__(self, contact: CollisionEvent, ego: Floats) -> bool:
-        """Whether the ego is at fault.
-
-        ``ego`` are (6,) values of `Ego` at the first end of a sub-step that does not come before the contact.
-        """
-        kind = KINDS[int(contact.pair.kinds[0])]
-        return is_at_fault(kind, kind is ContactKind.LATERAL and self._is_lane_ambiguous(Ego.of_row(ego)))
-
-    def _is_lane_ambiguous(self, ego: Ego) -> bool:
-        _, road = load_scored_road(self.scene)
-        state = np.zeros((1, 1, pdm.STATE_COLUMNS))
-        state[0, 0, : pdm.HEADING + 1] = ego.pose
-        return bool(is_lane_ambiguous(road, locate_on_road(road, state))[0, 0])
-
 
 LACKS: Final = ("SL (speed limits)", "traffic lights", "route blocks (the route is the recorded path)")
 """Parts of nuPlan's closed-loop score that are not implemented."""
@@ -134,7 +97,10 @@ def compute_nuplan_terms(
     progress: RouteProgress,
     contact: ScoredContact | None,
 ) -> NuplanTerms:
-    """Terms of nuPlan of the scored part of a drive, along a (M, 2) route, up to the contact that ended it."""
+    """Terms of nuPlan of the scored part of a drive, along a (M, 2) route, up to the contact that ended it.
+
+    ``contact`` is the first that is the ego's fault by nuPlan's rule, else any other.
+    """
     outside = measure_outside_m(part, road)
     off = np.flatnonzero(outside >= OFF_ROAD_M)
     wrong = measure_along_route(part.states[None], route, where.oncoming, where.center_in_intersection).wrong_way_m
@@ -166,7 +132,7 @@ def nuplan_score(multipliers: Sequence[float], parts: tuple[float, float, float 
 
 
 def compute_no_collision(contact: ScoredContact | None) -> float:
-    """NC of a drive that ends at a contact, if at all; contacts that did not end it do not count."""
+    """NC of a drive, given its first contact that is the ego's fault by nuPlan's rule; else any other or none."""
     if contact is None or not contact.at_fault:
         return 1.0
     return 0.0 if is_agent_category(contact.category) else 0.5
@@ -268,12 +234,18 @@ def compute_completed_share(scene: Scene, drive: Episode, first: int) -> float:
 
 
 def score_collision(
-    scene: Scene, touch: CollisionEvent, start_us: int, *, unsure: bool, adversaries: Collection[str] = ()
+    scene: Scene,
+    touch: CollisionEvent,
+    start_us: int,
+    *,
+    unsure: bool,
+    adversaries: Collection[str] = (),
+    fault: StoredFault | None = None,
 ) -> ScoredContact:
     """A contact in numbers; ``start_us`` is the first driven instant.
 
-    ``unsure`` is an ego in several lanes or off the drivable area, which makes a lateral contact its fault;
-    ``adversaries`` are those of this drive alone.
+    ``unsure`` is an ego in several lanes or off the drivable area, which by nuPlan's rule makes a lateral contact its
+    fault; ``adversaries`` are those of this drive alone.
     """
     pair = touch.pair
     kind = KINDS[int(pair.kinds[0])]
@@ -289,10 +261,11 @@ def score_collision(
         impact_speed=float(impact[0]),
         delta_v_ego=float(own[0]),
         delta_v_other=float(others[0]),
+        fault=fault,
     )
 
 
-VERSION: Final = 1
+VERSION: Final = 2
 """Raised whenever a score of an unchanged drive would change."""
 
 
@@ -303,6 +276,7 @@ class EpisodeScores:
     ``comfortable`` says if all of it is within nuPlan's bounds, ``None`` of less than 1.5 s; ``nuplan`` and ``hd`` are
     ``None`` where the map has no road or no lanes, and of NeuroNCAP's engine. ``contact`` ended it, ``passed`` ones did
     not. ``ttc_s`` is the smallest time to collision of each half second driven in a window, infinite above 2.9 s.
+    ``further`` are parts of scores of extensions, by score.
     """
 
     contact: ScoredContact | None
@@ -312,6 +286,7 @@ class EpisodeScores:
     hd: HdScore | None
     passed: tuple[ScoredContact, ...] = ()
     ttc_s: tuple[float, ...] = ()
+    further: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
 
 
 def score_episode(scene: Scene, drive: Episode) -> EpisodeScores:
@@ -330,19 +305,23 @@ def score_episode(scene: Scene, drive: Episode) -> EpisodeScores:
     def scored_touch(touch: CollisionEvent) -> ScoredContact:
         at = min(int(np.searchsorted(part.times_us, touch.time_us)), len(unsure) - 1)
         start_us = int(part.times_us[0])
-        return score_collision(scene, touch, start_us, unsure=bool(unsure[at]), adversaries=pursuers)
+        fault = attribute_contact(scene, trace_contact(drive.motion, touch))
+        return score_collision(scene, touch, start_us, unsure=bool(unsure[at]), adversaries=pursuers, fault=fault)
 
     contact = None if drive.touch is None else scored_touch(drive.touch)
+    passed = tuple(scored_touch(touch) for touch in drive.passed)
+    by_nuplan = next((touch for touch in (*passed, contact) if touch is not None and touch.at_fault), contact)
     progress = measure_progress(route, part, None if drive.window is None else drive.window.end)
     scored = known and drive.neuroncap is None
     return EpisodeScores(
         contact=contact,
         progress=progress,
         comfortable=compute_comfort(part.states),
-        nuplan=compute_nuplan_terms(part, road, where, line, progress, contact) if scored else None,
+        nuplan=compute_nuplan_terms(part, road, where, line, progress, by_nuplan) if scored else None,
         hd=compute_hd_score(scene, route, drive) if scored else None,
-        passed=tuple(scored_touch(touch) for touch in drive.passed),
+        passed=passed,
         ttc_s=() if drive.window is None else _reduce_by_tick(compute_ttc(part, where)),
+        further=dict(ChainMap(*call_installed("drive score", scene, drive))),
     )
 
 

@@ -1,13 +1,11 @@
 """Scenes as courses: where a drive starts, how long it lasts, who is there."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from benchmark.closed_loop.agent_policy import AgentPolicy
 from benchmark.closed_loop.plan_tracking import Ego
-from benchmark.closed_loop.simulation_state import CollisionEvent
 from benchmark.closed_loop.track_replay import TrackReplay
 from benchmark.closed_loop.world_state import STEP_US, SimulationConfig
 from benchmark.constants import EGO_WHEELBASE_M
@@ -30,12 +28,11 @@ def build_simulation_config(
     duration_s: float | None = None,
     seed: int = 0,
     latency_us: int = 0,
-    blamed: Callable[[CollisionEvent, Floats], bool] | None = None,
 ) -> SimulationConfig:
     """The course of a scene from a keyframe on, which starts with the recorded motion and tracks.
 
-    It lasts to the scene's last keyframe by default. A plan takes effect ``latency_us`` later; ``blamed`` is as in
-    `SimulationConfig`: without it every contact ends the drive.
+    It lasts to the scene's last keyframe by default. A plan takes effect ``latency_us`` later; every contact
+    ends the drive.
     """
     if not 0 <= keyframe < len(scene.keyframes):
         raise InputError(f"{scene.name} has {len(scene.keyframes)} keyframes; it has no keyframe number {keyframe}")
@@ -53,7 +50,6 @@ def build_simulation_config(
         policy=policy or build_log_replay(scene, start_us, end_us),
         seed=seed,
         latency_us=latency_us,
-        blamed=blamed,
     )
 
 

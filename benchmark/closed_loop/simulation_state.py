@@ -211,6 +211,18 @@ class SimulatorBackend(Protocol):
         """
 
 
+class ReplanningBackend(SimulatorBackend, Protocol):
+    """An engine in which planners can be asked ten times a second."""
+
+    def advance_replanning(
+        self, ride: SimulationState, plan: Plan, replan: Callable[[SimulationState], Plan]
+    ) -> SimulationState | RejectedPlanError:
+        """Half a second with a plan every 0.1 s: the first, and those that ``replan`` gives at the instants between.
+
+        While the ego is the recorded one, they are frames of the recording, and no plan is driven.
+        """
+
+
 @dataclass(frozen=True, slots=True)
 class RecordedCan:
     """Measurements of the recorded car at its K keyframes; derived from poses where it measured nothing.

@@ -11,7 +11,7 @@ The order inside a step is fixed:
 Many worlds can be stepped together. That is faster, and changes no byte of any.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -27,7 +27,7 @@ from benchmark.closed_loop.plan_tracking import (
     follow_waypoints,
 )
 from benchmark.closed_loop.simulation_state import CollisionEvent
-from benchmark.closed_loop.world_state import STEP_US, SimulationConfig, StepTrace, WorldState, compute_ego_boxes
+from benchmark.closed_loop.world_state import SimulationConfig, StepTrace, WorldState, compute_ego_boxes
 from benchmark.constants import EGO_LENGTH_M, FARTHEST_WAYPOINT_M, LONGEST_PLAN_STEPS, PLAN_STEPS
 from benchmark.geometry import Bools, Floats, boxes_overlap
 from benchmark.machine.storage import content_seed
@@ -77,6 +77,35 @@ def step_together(
         for index, (course, world, plans_now) in enumerate(zip(courses, worlds, in_force))
     )
     return list(moved)
+
+
+def step_replanning(
+    course: SimulationConfig, world: WorldState, waypoints: Floats, replan: Callable[[WorldState], Floats]
+) -> WorldState:
+    """Half a second with a new plan every 0.1 s; arguments and errors as in `step`.
+
+    ``replan`` is asked at the four instants between, unless a contact or the end came before; the trace of its world is
+    that since the step began.
+    """
+    here = world
+    for number in range(SUBSTEPS):
+        asks = number > 0 and here.contact is None and here.time_us < course.end_us
+        plan = require_drivable(course, replan(here) if asks else waypoints)
+        plans = _find_active_plans(course, here, plan) if asks or not number else here.plans
+        now = np.array([here.ego.row]).T
+        targets = _find_active_plan(plans, here.time_us).compute_targets(here.time_us, now[:3, 0])
+        egos = follow_waypoints(now, np.ascontiguousarray(targets[..., None]), 1)[..., 0]
+        later = _step_agents(course, here, plans, np.ascontiguousarray(egos), [number])
+        assert later.trace is not None
+        trace = later.trace
+        if number and here.trace is not None:
+            trace = StepTrace(
+                np.concatenate([here.trace.egos, trace.egos[1:]]),
+                np.concatenate([here.trace.boxes, trace.boxes]),
+                np.concatenate([here.trace.present, trace.present]),
+            )
+        here = replace(later, step=world.step, trace=trace)
+    return replace(here, step=world.step + 1)
 
 
 def require_drivable(course: SimulationConfig, plan: Any) -> Floats:
@@ -136,14 +165,18 @@ def _find_active_plan(plans: tuple[ActivePlan, ...], time_us: int) -> ActivePlan
 
 
 def _step_agents(
-    course: SimulationConfig, world: WorldState, plans: tuple[ActivePlan, ...], egos: Floats
+    course: SimulationConfig,
+    world: WorldState,
+    plans: tuple[ActivePlan, ...],
+    egos: Floats,
+    numbers: Sequence[int] = range(SUBSTEPS),
 ) -> WorldState:
-    """The world after a step of which the ego's part is known, (11, 6)."""
+    """The world after some sub-steps of a step, all by default, of which the ego's part is known, (11, 6)."""
     own, others, memory = compute_ego_boxes(egos), world.others, world.memory
     removed = [contact_before.agent for contact_before in world.passed]
     boxes, present, velocities = [], [], []
-    for number in range(SUBSTEPS):
-        row = INSTANTS * number
+    for place, number in enumerate(numbers):
+        row = INSTANTS * place
         # Making a key costs as much as replaying a sub-step.
         key = content_seed(course.seed, course.scene, world.step, number) if course.policy.draws else 0
         memory, moved = course.policy.act(memory, replace(others, plan=_find_active_plan(plans, others.time_us)), key)
@@ -152,7 +185,7 @@ def _step_agents(
         present.append(there)
         velocities.append(moved.velocity)
         end = row + INSTANTS
-        time = world.time_us + (number + 1) * SUBSTEP_US
+        time = world.time_us + (place + 1) * SUBSTEP_US
         others = TrafficSnapshot(time, own[end], float(egos[end, 3]), moved.boxes[-1], there[-1], moved.velocity)
     trace = StepTrace(egos, np.concatenate(boxes), np.concatenate(present))
     contact, passed = world.contact, world.passed
@@ -162,7 +195,7 @@ def _step_agents(
             passed = (*passed, *also)
             trace.present[-1, [contact_before.agent for contact_before in also]] = False
             others = replace(others, present=trace.present[-1])
-    assert others.time_us == world.time_us + STEP_US
+    assert others.time_us == world.time_us + len(numbers) * SUBSTEP_US
     return WorldState(
         world.step + 1, Ego.of_row(egos[-1]), others, memory, world.ignored, plans, contact, trace, passed
     )
@@ -184,9 +217,8 @@ def _find_contacts(
     hits = _find_overlaps(own, trace.boxes, trace.present & ~world.ignored)
     passed: list[CollisionEvent] = []
     while hits.any():
-        row, contact = _find_first_contact(course, world, trace, own, velocities, hits)
-        end_of_substep = -(-(row + 1) // INSTANTS) * INSTANTS
-        if course.blamed is None or course.blamed(contact, trace.egos[end_of_substep]):
+        contact = _find_first_contact(course, world, trace, own, velocities, hits)
+        if course.blamed is None or course.blamed(contact, trace):
             return contact, passed
         passed.append(contact)
         hits[:, contact.agent] = False
@@ -200,10 +232,10 @@ def _find_first_contact(
     own: Floats,
     velocities: Sequence[Floats],
     hits: Bools,
-) -> tuple[int, CollisionEvent]:
-    """The first instant at which an agent overlaps the ego, and that touch; of several, the first of the list."""
+) -> CollisionEvent:
+    """The first touch of an agent; of several at an instant, the first of the list."""
     row, agent = (int(index) for index in np.argwhere(hits)[0])
-    return row, CollisionEvent(
+    return CollisionEvent(
         agent=agent,
         uuid=course.ids[agent],
         category=course.categories[agent],

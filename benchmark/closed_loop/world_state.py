@@ -22,8 +22,8 @@ class SimulationConfig:
     """All that does not change during a drive of N agents, from ``start_us``; no state is planned from ``end_us`` on.
 
     A plan takes effect ``latency_us`` later than it was made for, a whole number of sub-steps. ``blamed`` says if a
-    contact is the ego's fault, which only then ends the drive; told the contact and (6,) values of `Ego` at the first
-    end of a sub-step that does not come before it. ``None``: every contact ends it.
+    contact is the ego's fault, which only then ends the drive; told the contact and the step that it is in. ``None``:
+    every contact ends it.
     """
 
     scene: str
@@ -35,7 +35,7 @@ class SimulationConfig:
     policy: AgentPolicy[Any]
     seed: int = 0
     latency_us: int = 0
-    blamed: Callable[[CollisionEvent, Floats], bool] | None = None
+    blamed: "Callable[[CollisionEvent, StepTrace], bool] | None" = None
 
     def __post_init__(self) -> None:
         if self.latency_us < 0 or self.latency_us % SUBSTEP_US:

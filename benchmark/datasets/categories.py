@@ -1,4 +1,7 @@
-"""Maps from other category names to nuScenes'; without them most protocols see no road users."""
+"""Maps from other category names to nuScenes'; without them most protocols see no road users.
+
+The same pairs carry names of cameras, attributes, visibility levels and map layers, chosen by an extension.
+"""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -6,12 +9,31 @@ from pathlib import Path
 from typing import Final
 
 from benchmark.constants import CATEGORIES, NUMBERED_CATEGORIES
+from benchmark.datasets.tables import Row, Tables
 from benchmark.errors import InputError, did_you_mean
+from benchmark.machine.extension import call_extension
 from benchmark.untrusted.files import SETTINGS
 from benchmark.untrusted.text_files import read_json
 
 CategoryNames = tuple[tuple[str, str], ...]
-"""Pairs of a data set's own name and nuScenes' name for it."""
+"""Pairs of a data set's own name and nuScenes' name for it; own names of other things than categories have a prefix.
+
+They begin with one of `PREFIXES`, and ``sensor:`` alone names the rig of ``--cameras``, before any table is read.
+"""
+_RENAMED: Final = {
+    "category": ("", "name"),
+    "sensor": ("sensor:", "channel"),
+    "attribute": ("attribute:", "name"),
+    "visibility": ("visibility:", "level"),
+}
+"""Tables with names: the prefix of the pairs, and the field."""
+SENSOR: Final = "sensor:"
+LAYER: Final = "layer:"
+LIDAR_PLACE: Final = "lidar:"
+"""Where LIDAR_TOP sits in the ego frame where there is none: x, y, z in metres, between spaces."""
+PREFIXES: Final = (SENSOR, "attribute:", "visibility:", LAYER, LIDAR_PLACE)
+NAMES_FILE: Final = "own_recordings.json"
+"""Beside the tables: names that hold for every command."""
 
 KNOWN: Final = frozenset(NUMBERED_CATEGORIES)
 """Names that mean what they say: the 23 of annotations, and those of lidarseg, which no annotation has."""
@@ -149,6 +171,8 @@ def read_categories(named: str) -> dict[str, str]:
             f"{', '.join(READY)}"
         )
     read = read_json(path, SETTINGS)
+    if isinstance(read, dict) and any(isinstance(value, dict) for value in read.values()):
+        return dict(call_extension("names", "file", read, str(path)))
     wrong = None
     if not isinstance(read, dict) or not read:
         wrong = "is not a JSON object of names"
@@ -160,6 +184,31 @@ def read_categories(named: str) -> dict[str, str]:
             f"as {CATEGORIES[-3]}"
         )
     return dict(read)
+
+
+def read_names(categories: str | None, cameras: str | None) -> dict[str, str] | None:
+    """Names of ``--categories`` and the rig of ``--cameras``; ``None`` where neither is given."""
+    if cameras is not None:
+        call_extension("names", "rig", cameras)
+    named = {} if categories is None else read_categories(categories)
+    return {**named, **({} if cameras is None else {SENSOR: cameras})} or None
+
+
+def choose_names(folder: Path, tables: Tables, given: Mapping[str, str] | None) -> CategoryNames:
+    """Names of a version folder's tables that mean others: those given, and those of a file beside the tables."""
+    if (folder / NAMES_FILE).is_file() or any(name.startswith(PREFIXES) for name in given or ()):
+        return tuple(call_extension("names", "choose", folder, tables, given or {}))
+    return () if given is None else select_category_names((row["name"] for row in tables["category"]), given)
+
+
+def rename_rows(tables: Tables, names: CategoryNames) -> dict[str, list[Row]]:
+    """Tables with other names in the rows that have names."""
+    new = dict(names)
+    renamed = {
+        table: [{**row, field: new.get(f"{prefix}{row.get(field)}", row.get(field))} for row in tables[table]]
+        for table, (prefix, field) in _RENAMED.items()
+    }
+    return {**tables, **renamed}
 
 
 def select_category_names(own: Iterable[str], given: Mapping[str, str]) -> CategoryNames:

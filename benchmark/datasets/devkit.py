@@ -9,7 +9,7 @@ from typing import Any
 
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.cached_tables import read_tables_cached
-from benchmark.datasets.categories import CategoryNames, select_category_names
+from benchmark.datasets.categories import CategoryNames, choose_names, rename_rows
 from benchmark.datasets.devkit_import import FURTHER_TABLES, build_devkit
 from benchmark.datasets.scene_tables import (
     GROWING_TABLES,
@@ -17,7 +17,6 @@ from benchmark.datasets.scene_tables import (
     count_by_category,
     find_camera_mounts,
     read_rows,
-    rename_categories,
 )
 from benchmark.datasets.schema import FaultList, StrictFaultList, check_table
 from benchmark.datasets.schema.opening_checks import check_scene, check_shared_and_samples
@@ -135,7 +134,7 @@ def open_tables(
     """Check all 13 tables of a data set, and open them scene by scene where they can be taken apart.
 
     ``rates`` gets scenes with another rate of keyframes than nuScenes; ``categories`` is the map of
-    `benchmark.datasets.categories.read_categories`.
+    `benchmark.datasets.categories.read_names`.
     """
     folder = root / version
     rates = StrictFaultList(folder=folder) if rates is None else rates
@@ -143,16 +142,12 @@ def open_tables(
         tables = read_tables_cached(folder, rates)
         if tables is not None:
             _require_masks(root, tables.shared["map"])
-            return PerSceneTables(root, version, tables, _choose_replacements(tables.shared, categories))
+            return PerSceneTables(root, version, tables, choose_names(folder, tables.shared, categories))
     rows = _read_all_tables(folder, rates)
     _require_masks(root, rows["map"])
-    names = _choose_replacements(rows, categories)
-    rows = {**rows, "category": rename_categories(rows["category"], names)}
+    names = choose_names(folder, rows, categories)
+    rows = rename_rows(rows, names)
     return AllSceneTables(build_devkit(root, version, rows), rows, folder, names)
-
-
-def _choose_replacements(tables: Tables, categories: Mapping[str, str] | None) -> CategoryNames:
-    return () if categories is None else select_category_names((row["name"] for row in tables["category"]), categories)
 
 
 def _read_all_tables(folder: Path, rates: FaultList) -> Tables:

@@ -10,6 +10,7 @@ import shapely
 from shapely.geometry import LineString, MultiPolygon, Polygon
 
 from benchmark.constants import MAP_LAYERS
+from benchmark.datasets.categories import LAYER, CategoryNames
 from benchmark.datasets.devkit_import import import_devkit_module
 from benchmark.datasets.schema.rows import format_value
 from benchmark.datasets.schema.sidecar_files import ARC_LINE, MAP_LINKS, MAP_NODE, MAP_RECORD, require_records
@@ -43,8 +44,14 @@ def find_expansion_file(root: Path, location: str) -> Path | None:
     return path if path.is_file() else None
 
 
-def read_road_map(path: Path) -> RoadMap:
-    """Read a whole map from ``maps/expansion/<location>.json`` of version 1.3 or later.
+def rename_layers(layers: Mapping[str, Any], names: CategoryNames) -> dict[str, Any]:
+    """A map expansion with nuScenes' names of layers."""
+    new = {own: to for own, to in names if own.startswith(LAYER)}
+    return {new.get(f"{LAYER}{own}", own): layer for own, layer in layers.items()}
+
+
+def read_road_map(path: Path, names: CategoryNames = ()) -> RoadMap:
+    """Read a whole map from ``maps/expansion/<location>.json`` of version 1.3 or later, its layers renamed.
 
     Lanes without an arc-line path are left out: nothing tells where their centre is. Where there is no drivable area
     layer, road segments, lanes and car parks make it up.
@@ -52,6 +59,7 @@ def read_road_map(path: Path) -> RoadMap:
     layers = read_json(path)
     if not isinstance(layers, dict):
         raise InputError(f"{path} must be a map expansion (a JSON object of layers); fetch or make it again")
+    layers = rename_layers(layers, names)
     _require_version(layers, path)
     try:
         require_records(path, "node", layers["node"], MAP_NODE)

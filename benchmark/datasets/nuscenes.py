@@ -1,5 +1,6 @@
 """Data sets in nuScenes format, through the devkit, one scene at a time."""
 
+import copy
 import functools
 from collections import Counter, OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,7 +12,7 @@ from shapely.geometry import MultiPolygon
 from benchmark.constants import LIDAR_NAME
 from benchmark.datasets.annotated_objects import AnnotationCount, read_objects
 from benchmark.datasets.can_bus import CanBus
-from benchmark.datasets.categories import KNOWN, CategoryNames
+from benchmark.datasets.categories import KNOWN, LIDAR_PLACE, SENSOR, CategoryNames
 from benchmark.datasets.devkit import OpenTables, open_tables
 from benchmark.datasets.fingerprint import compute_fingerprint
 from benchmark.datasets.map_layers import find_expansion_file, read_road_map
@@ -33,7 +34,7 @@ from benchmark.planning import CameraView, Observation
 from benchmark.records.review import SplitReview, read_review
 from benchmark.records.run_schema import SceneFacts
 from benchmark.records.scene_assessment import SceneAssessment
-from benchmark.road_map import RoadMap
+from benchmark.road_map import Handedness, RoadMap
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 
@@ -53,6 +54,7 @@ class NuScenesData:
         self.version = version
         self.name = name
         self.categories = tables.categories
+        self.driving_side: Handedness | None = None
         self._tables = tables
         self._rows: dict[str, Row] = {row["name"]: row for row in tables.rows("scene")}
         self._logs: dict[str, Row] = {row["token"]: row for row in tables.rows("log")}
@@ -78,7 +80,7 @@ class NuScenesData:
 
         ``root`` contains the version folder, which is needed only where there are several; ``name`` is the root's name
         by default. ``rates`` gets scenes whose keyframes are not half a second apart; ``categories`` is as of
-        `benchmark.datasets.categories.read_categories`. Refuses a table that is missing, broken, or links to nothing.
+        `benchmark.datasets.categories.read_names`. Refuses a table that is missing, broken, or links to nothing.
         """
         root = Path(root)
         version = find_version(root, version)
@@ -86,13 +88,20 @@ class NuScenesData:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel to another process as a path; each process loads the tables once."""
-        return _reopen, (str(self.root), self.version, self.name, self.categories)
+        return _reopen, (str(self.root), self.version, self.name, self.categories, self.driving_side)
 
     def with_categories(self, categories: CategoryNames) -> Self:
         """The same root with other names of categories replaced."""
         if categories == self.categories:
             return self
-        return type(self).open(self.root, version=self.version, name=self.name, categories=dict(categories))
+        named = type(self).open(self.root, version=self.version, name=self.name, categories=dict(categories))
+        return named.with_driving_side(self.driving_side)
+
+    def with_driving_side(self, side: Handedness | None) -> Self:
+        """The same root where traffic keeps to a side, as somebody says; ``None``: it has to be found."""
+        sided = copy.copy(self)
+        sided.driving_side, sided._scenes = side, OrderedDict()
+        return sided
 
     def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:
         """Number of annotations of scenes, and those of no nuScenes category; scenes are read only for the latter."""
@@ -179,20 +188,19 @@ class NuScenesData:
         return find_expansion_file(self.root, self._log(self._row(name))["location"]) is not None
 
     def has_lidar(self, name: str) -> bool:
-        """Whether the tables say where the lidar of a scene sits (`make_standard_lidar` is taken where they do not)."""
+        """Whether it is said where the lidar of a scene sits (`make_standard_lidar` is taken where it is not)."""
         row = self._row(name)
-        return LIDAR_NAME in list_samples(self._devkit(row), row)[0]["data"]
+        return LIDAR_PLACE in dict(self.categories) or LIDAR_NAME in list_samples(self._devkit(row), row)[0]["data"]
 
     def fingerprint(self) -> str:
         """Content hash of tables, maps and file manifest (`compute_fingerprint`), 64 hexadecimal digits.
 
-        Names of categories that were replaced are content, too: planners that see objects go by them.
+        Names that were replaced are content, too: planners go by those of cameras and categories.
         """
         if self._fingerprint is None:
             fingerprint = compute_fingerprint(self.root, self.version, self._tables.keyframe_images())
-            self._fingerprint = (
-                content_key("categories", fingerprint, self.categories) if self.categories else fingerprint
-            )
+            replaced = tuple((name, to) for name, to in self.categories if name != f"{SENSOR}{to}")
+            self._fingerprint = content_key("categories", fingerprint, replaced) if replaced else fingerprint
         return self._fingerprint
 
     def provenance(self) -> dict[str, Any] | None:
@@ -248,23 +256,25 @@ class NuScenesData:
             agents=agents,
             annotations=annotations,
             cameras=cameras,
-            lidar=read_lidar(nusc, samples[0]),
+            lidar=read_lidar(nusc, samples[0], dict(self.categories).get(LIDAR_PLACE)),
             road_map=self._map_around(str(log["location"]), timeline.ego.position),
             adversaries=self._adversaries(row["name"]),
             sweep_poses=read_sweep_poses(nusc, samples, timeline.keyframes, [camera.name for camera in cameras]),
+            driving_side=self.driving_side,
         )
 
     def _map_around(self, location: str, position: Floats) -> RoadMap:
         if location not in self._maps:
             path = find_expansion_file(self.root, location)
-            self._maps[location] = read_road_map(path) if path else RoadMap(location, MultiPolygon())
+            self._maps[location] = read_road_map(path, self.categories) if path else RoadMap(location, MultiPolygon())
         low, high = position[:, :2].min(axis=0) - MAP_MARGIN_M, position[:, :2].max(axis=0) + MAP_MARGIN_M
         return self._maps[location].near((float(low[0]), float(low[1]), float(high[0]), float(high[1])))
 
 
 @functools.lru_cache(maxsize=2)
-def _reopen(root: str, version: str, name: str, categories: CategoryNames) -> NuScenesData:
-    return NuScenesData.open(Path(root), version=version, name=name, categories=dict(categories))
+def _reopen(root: str, version: str, name: str, categories: CategoryNames, side: Handedness | None) -> NuScenesData:
+    data = NuScenesData.open(Path(root), version=version, name=name, categories=dict(categories))
+    return data.with_driving_side(side)
 
 
 def _read_provenance(path: Path, scenes: set[str]) -> dict[str, Any] | None:

@@ -20,6 +20,7 @@ from benchmark.machine.storage import content_key
 from benchmark.planning import CameraView, Observation
 from benchmark.records.review import SplitReview, read_review
 from benchmark.records.run_schema import SceneFacts
+from benchmark.road_map import Handedness
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 
@@ -43,6 +44,13 @@ class DataSet(Protocol):
 
     def with_categories(self, categories: CategoryNames) -> "DataSet":
         """The same with other names of categories replaced."""
+
+    @property
+    def driving_side(self) -> Handedness | None:
+        """Side that traffic keeps to, as somebody said."""
+
+    def with_driving_side(self, side: Handedness | None) -> "DataSet":
+        """The same where traffic keeps to a side."""
 
     def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:
         """Number of annotations of scenes, and of those of no category of nuScenes, by name."""
@@ -98,6 +106,7 @@ class VariantRoots:
         self.name = name
         self.version = next(iter(variants.values())).version
         self.categories = tuple(sorted({pair for data in variants.values() for pair in data.categories}))
+        self.driving_side = next(iter(variants.values())).driving_side
         self._variants = variants
         self._verdicts = read_review(root)
 
@@ -123,6 +132,11 @@ class VariantRoots:
     def with_categories(self, categories: CategoryNames) -> Self:
         """The same roots with other names of categories replaced."""
         variants = {folder: data.with_categories(categories) for folder, data in self._variants.items()}
+        return type(self)(self.root, self.name, variants)
+
+    def with_driving_side(self, side: Handedness | None) -> Self:
+        """The same roots where traffic keeps to a side."""
+        variants = {folder: data.with_driving_side(side) for folder, data in self._variants.items()}
         return type(self)(self.root, self.name, variants)
 
     def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import NUSCENES_TABLES
-from benchmark.datasets.categories import CategoryNames
+from benchmark.datasets.categories import CategoryNames, rename_rows
 from benchmark.datasets.scene_names import read_names
 from benchmark.datasets.schema import LINKS, FaultList, StrictFaultList, check_rows, check_table
 from benchmark.datasets.schema.links import check_link, note_dead_link
@@ -75,9 +75,8 @@ class SceneTables:
         return count_by_category({**self.shared, **rows})
 
     def renamed(self, names: CategoryNames) -> Self:
-        """The same tables with other names of categories."""
-        shared = {**self.shared, "category": rename_categories(self.shared["category"], names)}
-        return replace(self, _shared=CheckedTables.of_sound_rows(shared))
+        """The same tables with other names."""
+        return replace(self, _shared=CheckedTables.of_sound_rows(rename_rows(self.shared, names)))
 
     def numbers_of_scene(self, table: str, token: str) -> tuple[int, ...]:
         """Numbers, in the whole table, of the rows of a growing table that `of_scene` gives, in the same order."""
@@ -90,12 +89,6 @@ def count_by_category(tables: Tables) -> Counter[str]:
     names = {row["token"]: row["name"] for row in tables["category"]}
     categories = {row["token"]: names[row["category_token"]] for row in tables["instance"]}
     return Counter(categories[row["instance_token"]] for row in tables["sample_annotation"])
-
-
-def rename_categories(rows: Sequence[Row], names: CategoryNames) -> list[Row]:
-    """Rows of the table category with other names."""
-    new = dict(names)
-    return [{**row, "name": new.get(row["name"], row["name"])} for row in rows]
 
 
 def read_scene_tables(folder: Path, rates: FaultList) -> SceneTables | None:

@@ -1,6 +1,7 @@
 """Cameras and lidar of a nuScenes data set: calibration, images and videos on demand, poses at sweeps by own clocks."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -72,10 +73,11 @@ def make_standard_lidar() -> LidarMount:
     return LidarMount(np.array([LIDAR_FROM_REAR_AXLE_M, 0.0, 1.84]), quaternion_from_yaw(np.array(-np.pi / 2)))
 
 
-def read_lidar(nusc: Any, sample: Row) -> LidarMount:
-    """Mount of LIDAR_TOP at a sample, or `make_standard_lidar` where the data set has none."""
+def read_lidar(nusc: Any, sample: Row, place: str | None = None) -> LidarMount:
+    """Mount of LIDAR_TOP at a sample; where the data set has none, at a stated place or as `make_standard_lidar`."""
     if LIDAR_NAME not in sample["data"]:
-        return make_standard_lidar()
+        standard = make_standard_lidar()
+        return standard if place is None else replace(standard, translation=np.array(place.split(), np.float64))
     row = nusc.get("sample_data", sample["data"][LIDAR_NAME])
     mount = nusc.get("calibrated_sensor", row["calibrated_sensor_token"])
     return LidarMount(np.array(mount["translation"], np.float64), np.array(mount["rotation"], np.float64))

@@ -7,6 +7,8 @@ from typing import Final, Self
 import numpy as np
 
 from benchmark.geometry import Floats, boxes_overlap, wrap_angle
+from benchmark.records.fault import FaultReason as FaultReason
+from benchmark.records.fault import FaultVerdict as FaultVerdict
 
 STILL_M_S: Final = 0.3
 """Below it a box stands: annotation at 2 Hz jitters by a few centimetres."""
@@ -32,43 +34,6 @@ LANES_M: Final = 100.0
 """Lanes farther away are not looked at."""
 SLACK: Final = 1e-9
 """Of every comparison, towards the side that an exact tie falls to."""
-
-
-class FaultVerdict(StrEnum):
-    """Whose fault a contact is."""
-
-    EGO = "ego"
-    OTHER = "other"
-    SHARED = "shared"
-    UNCLEAR = "unclear"
-
-
-class FaultReason(StrEnum):
-    """What decided a verdict."""
-
-    OBJECT = "object"
-    STANDING = "standing"
-    REVERSING = "reversing"
-    CROSSING_PERSON = "crossing-person"
-    WALKWAY_PERSON = "walkway-person"
-    ROAD_PERSON = "road-person"
-    OFF_ROAD = "off-road"
-    REAR_END = "rear-end"
-    ROUNDABOUT = "roundabout"
-    TURN_ACROSS = "turn-across"
-    MERGE = "merge"
-    CROSSING_PRIORITY = "crossing-priority"
-    PULL_OUT = "pull-out"
-    U_TURN = "u-turn"
-    WRONG_SIDE = "wrong-side"
-    CUT_IN = "cut-in"
-    LANE_CHANGE = "lane-change"
-    OVERTAKING = "overtaking"
-    SIDESWIPE = "sideswipe"
-    CROSSING = "crossing"
-    NO_MAP = "no-map"
-    NO_LANE = "no-lane"
-    NO_RULE = "no-rule"
 
 
 class UserKind(StrEnum):

@@ -22,7 +22,7 @@ from benchmark.fairness.fault_definition import (
     UserKind,
     angle_between,
 )
-from benchmark.fairness.fault_roads import FaultRoads
+from benchmark.fairness.fault_roads import FaultRoads, LanePlaces
 from benchmark.fairness.fault_timing import ContactGeometry, TimeLeft, first_unbroken
 from benchmark.geometry import Bools, Floats, box_corners, to_local
 from benchmark.road_map import Handedness
@@ -52,10 +52,16 @@ class ContactSite:
     """The roads around a contact point."""
 
     def __init__(self, roads: FaultRoads, handedness: Handedness, point: Floats) -> None:
-        self.roads, self.handedness = roads, handedness
-        lanes = roads.near(point[None], MAP_REACH_M)
-        self._places = roads.locate(point[None], lanes)
-        self.outside_m = dict(zip(lanes.tolist(), self._places.outside[0].tolist(), strict=True))
+        self.roads, self.handedness, self._point = roads, handedness, point[None]
+
+    @cached_property
+    def _places(self) -> LanePlaces:
+        return self.roads.locate(self._point, self.roads.near(self._point, MAP_REACH_M))
+
+    @cached_property
+    def outside_m(self) -> dict[int, float]:
+        """How far it is outside the strips of lanes in reach, by lane."""
+        return dict(zip(self._places.lanes.tolist(), self._places.outside[0].tolist(), strict=True))
 
     @property
     def is_off_map(self) -> bool:

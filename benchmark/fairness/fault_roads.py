@@ -22,6 +22,7 @@ GIVE_WAY: Final = ("STOP_SIGN", "YIELD")
 LIGHT: Final = "TRAFFIC_LIGHT"
 BESIDE_M: Final = 15.0
 """Centre lines of oncoming lanes of one road are at most so far apart."""
+_LANES_AT_ONCE: Final = 64
 Indices = NDArray[np.int64]
 
 
@@ -158,6 +159,11 @@ class FaultRoads:
         low, high = np.fmin(bounds[:, :2], surfaces[:, :2]), np.fmax(bounds[:, 2:], surfaces[:, 2:])
         return np.ascontiguousarray(np.concatenate([low, high], axis=1).T)
 
+    @property
+    def sign_shapes(self) -> list[Polygon]:
+        """Stop lines of a type that rules know."""
+        return [shape for shape, _ in self._signs]
+
     def near(self, points: Floats, reach_m: float) -> Indices:
         """Lanes whose strip may be within some metres of one of (Q, 2) points."""
         if not len(points):
@@ -174,8 +180,8 @@ class FaultRoads:
         met_lanes: Indices = lanes[met.any(axis=1)]
         return met_lanes
 
-    def locate(self, points: Floats, lanes: Indices | Sequence[int]) -> LanePlaces:
-        """Where (Q, 2) points are beside lanes."""
+    def locate(self, points: Floats, lanes: Indices | Sequence[int], *, with_polygons: bool = True) -> LanePlaces:
+        """Where (Q, 2) points are beside lanes; without polygons strips are as wide as their lanes."""
         lanes = np.asarray(lanes, np.int64)
         shape = (len(points), len(lanes))
         if not len(lanes):
@@ -199,7 +205,7 @@ class FaultRoads:
         at_start, at_end = nearest == firsts, nearest == firsts + counts - 1
         past = along[rows, nearest]
         beyond = (at_start & (past < -SLACK)) | (at_end & (past > length[nearest] + SLACK))
-        outside = self._measure_outside(points, lanes, least)
+        outside = self._measure_outside(points, lanes, least) if with_polygons else least - self.width[lanes] / 2
         return LanePlaces(
             lanes,
             outside,
@@ -320,14 +326,18 @@ def find_handedness(location: str, roads: FaultRoads | None, given: Handedness |
 
 def derive_handedness(roads: FaultRoads) -> Handedness | None:
     """By the side on which lanes have the nearest oncoming lane; ``None`` where as many say left as right."""
+    lanes = np.flatnonzero(~roads.is_junction)
     votes = 0
-    for lane in np.flatnonzero(~roads.is_junction).tolist():
-        middle = roads.lines[lane][len(roads.lines[lane]) // 2][None]
-        heading = roads.headings[roads.first[lane] + (len(roads.lines[lane]) - 1) // 2]
-        places = roads.locate(middle, roads.near(middle, BESIDE_M))
-        oncoming = angle_between(places.heading[0], heading) >= ONCOMING_RAD
-        apart = np.where(oncoming & ~places.beyond[0] & ~roads.is_junction[places.lanes], places.distance[0], np.inf)
-        nearest = int(apart.argmin())
-        if apart[nearest] <= BESIDE_M:
-            votes += int(np.sign(places.offset[0, nearest]))
+    for some in np.split(lanes, np.arange(_LANES_AT_ONCE, len(lanes), _LANES_AT_ONCE)):
+        middles = np.array([roads.lines[lane][len(roads.lines[lane]) // 2] for lane in some.tolist()]).reshape(-1, 2)
+        beside = roads.near(middles, BESIDE_M)
+        beside = beside[~roads.is_junction[beside]]
+        if not len(beside):
+            continue
+        headings = np.array([roads.headings[roads.first[lane] + (len(roads.lines[lane]) - 1) // 2] for lane in some])
+        places = roads.locate(middles, beside, with_polygons=False)
+        oncoming = angle_between(places.heading, headings[:, None]) >= ONCOMING_RAD
+        apart = np.where(oncoming & ~places.beyond, places.distance, np.inf)
+        rows, nearest = np.arange(len(some)), apart.argmin(axis=1)
+        votes += int(np.sign(places.offset[rows, nearest])[apart[rows, nearest] <= BESIDE_M].sum())
     return None if votes == 0 else Handedness.RIGHT if votes > 0 else Handedness.LEFT

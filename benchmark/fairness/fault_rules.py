@@ -41,6 +41,13 @@ class Ruling:
     blamed: frozenset[int]
     reason: FaultReason
 
+    @property
+    def verdict(self) -> FaultVerdict:
+        """Of a contact in which the ego is the first user."""
+        if len(self.blamed) == 1:
+            return (FaultVerdict.EGO, FaultVerdict.OTHER)[min(self.blamed)]
+        return FaultVerdict.SHARED if self.blamed else FaultVerdict.UNCLEAR
+
 
 def attribute_fault(tracks: ContactTracks, roads: FaultRoads | None, handedness: Handedness) -> FaultAttribution:
     """Whose fault a contact is, by ``fault@1``.
@@ -53,18 +60,19 @@ def attribute_fault(tracks: ContactTracks, roads: FaultRoads | None, handedness:
     Returns:
         Verdict, reason, contact point and facts. The users exchanged give the exchanged verdict.
     """
+    ruling, first, second = rule_on_contact(tracks, roads, handedness)
+    return FaultAttribution(ruling.verdict, ruling.reason, first.contact.point, first.facts(), second.facts())
+
+
+def rule_on_contact(
+    tracks: ContactTracks, roads: FaultRoads | None, handedness: Handedness
+) -> tuple[Ruling, Party, Party]:
+    """The first rule that applies, and both users, whose facts can be asked; arguments as of `attribute_fault`."""
     contact = ContactGeometry(tracks.to_first_touch())
     site = ContactSite(roads or _NO_ROADS, handedness, contact.point)
     first, second = (Party(contact, number, site) for number in (0, 1))
     ruling = next(ruling for rule in RULES if (ruling := ask_both_ways(rule, first, second)) is not None)
-    verdict = (FaultVerdict.EGO, FaultVerdict.OTHER)[min(ruling.blamed)] if len(ruling.blamed) == 1 else None
-    return FaultAttribution(
-        verdict or (FaultVerdict.SHARED if ruling.blamed else FaultVerdict.UNCLEAR),
-        ruling.reason,
-        contact.point,
-        first.facts(),
-        second.facts(),
-    )
+    return ruling, first, second
 
 
 def ask_both_ways(rule: "Rule", first: Party, second: Party) -> Ruling | None:

@@ -29,6 +29,7 @@ from benchmark.geometry import Bools, Floats, box_corners, boxes_overlap, poses_
 
 _HALVINGS: Final = 12
 _AT_ONCE: Final = 6
+_SAMPLES_AT_ONCE: Final = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,12 +161,15 @@ class ContactGeometry:
     def _find_entry(self, user: int) -> int:
         """Earliest sample of the window from which on a user is in the corridor of the other, without a break."""
         boxes, wide = self.boxes[user][self.window :], self.users[1 - user].boxes(EDGE_M)[self.window :]
-        later = np.triu(np.ones((len(boxes), len(boxes)), np.bool_))
-        meets = (boxes_overlap(boxes[:, None], wide[None]) & later).any(axis=1)
         corners = box_corners(wide)
-        for sample in range(len(boxes) - 2, -1, -1):
-            if not meets[sample] and not _meets_between(boxes[sample], corners[sample:]):
-                return self.window + sample + 1
+        # Few came in long ago: the last samples are looked at first.
+        for end in range(len(boxes), 0, -_SAMPLES_AT_ONCE):
+            begin = max(0, end - _SAMPLES_AT_ONCE)
+            later = np.arange(begin, len(boxes)) >= np.arange(begin, end)[:, None]
+            meets = (boxes_overlap(boxes[begin:end, None], wide[None, begin:]) & later).any(axis=1)
+            for sample in range(min(end, len(boxes) - 1) - 1, begin - 1, -1):
+                if not meets[sample - begin] and not _meets_between(boxes[sample], corners[sample:]):
+                    return self.window + sample + 1
         return self.window
 
 

@@ -10,8 +10,11 @@ from typing import Final, Protocol
 import numpy as np
 
 from benchmark.constants import PLAN_STEPS
+from benchmark.fairness.contact_fault import attribute_contact
+from benchmark.fairness.fault_definition import ContactTracks
 from benchmark.fairness.near_misses import compute_ego_velocities, measure_near_misses
-from benchmark.geometry import Bools, Floats, boxes_overlap, ego_footprints, wrap_angle
+from benchmark.fairness.plan_tracks import RoadUserAhead, place_lidar_boxes, trace_plan_contact
+from benchmark.geometry import Bools, Floats, boxes_overlap, ego_footprints
 from benchmark.interactions.contacts import (
     KINDS,
     ContactKind,
@@ -25,6 +28,7 @@ from benchmark.interactions.contacts import (
 from benchmark.interactions.tracks import STEP_S, ContinuousTracks, Integers
 from benchmark.protocols.exact import INSTANTS_PER_STEP, compute_plan_boxes, interpolate_object_boxes
 from benchmark.records.row_schema import PlanCollision, PlanNearRow, PlanSeverityRow
+from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 
 INSTANTS: Final = PLAN_STEPS * INSTANTS_PER_STEP + 1
@@ -75,6 +79,10 @@ class _PlanSurroundings:
             counts=present & ~touching[:, None],
         )
 
+    def ahead(self, row: int) -> RoadUserAhead:
+        """One agent."""
+        return RoadUserAhead(self.names[row], self.categories[row], self.boxes[row], self.counts[row])
+
     def velocities(self, rows: Integers) -> Floats:
         """(Q, 31, 2) of (Q,) agents, m/s; zero for what is no agent."""
         categories = tuple(self.categories[row] for row in rows.tolist())
@@ -88,32 +96,46 @@ _PRESENT: Final = ego_footprints(np.array([0.0, 0.0, np.pi / 2]))
 
 
 def measure_plan_severities(
-    truths: Sequence[SampleTruth], plans_lidar: Floats, lanes: LaneLookup | None = None
+    truths: Sequence[SampleTruth], plans_lidar: Floats, lanes: LaneLookup | None = None, scene: Scene | None = None
 ) -> list[PlanSeverityRow]:
     """Measure S plans; of agents that are touched at the same instant the first by name counts, as in ``exact``.
 
-    ``plans_lidar`` (S, 6, 2) are waypoints of the lidar origin, x right, y forward, metres. Without lanes the blame for
-    a lateral contact is unknown.
+    ``plans_lidar`` (S, 6, 2) are waypoints of the lidar origin, x right, y forward, metres. Without lanes nuPlan's rule
+    does not tell whose fault a lateral contact is; ``fault@1`` needs the scene, for what both did before.
     """
     plans = np.asarray(plans_lidar, np.float64)
     starts = range(0, len(truths), _SAMPLES_AT_ONCE)
     batches = [slice(start, start + _SAMPLES_AT_ONCE) for start in starts]
-    return [row for batch in batches for row in _measure_batch(truths[batch], plans[batch], lanes)]
+    return [row for batch in batches for row in _measure_batch(truths[batch], plans[batch], lanes, scene)]
+
+
+def trace_first_contact(truth: SampleTruth, plan_lidar: Floats, scene: Scene) -> ContactTracks | None:
+    """Tracks up to the first contact of a (6, 2) plan, as `measure_plan_severities` finds it; ``None`` without one."""
+    ego = np.concatenate([_PRESENT[None], compute_plan_boxes(np.asarray(plan_lidar, np.float64)[None])[0]])
+    world = _PlanSurroundings.of([truth])
+    rows, instants = _find_first_hits(ego[None], world)
+    if not len(rows):
+        return None
+    return trace_plan_contact(scene, truth, ego, world.ahead(int(rows[0])), int(instants[0]))
 
 
 def _measure_batch(
-    truths: Sequence[SampleTruth], plans_lidar: Floats, lanes: LaneLookup | None
+    truths: Sequence[SampleTruth], plans_lidar: Floats, lanes: LaneLookup | None, scene: Scene | None
 ) -> list[PlanSeverityRow]:
     ego = np.concatenate([np.broadcast_to(_PRESENT, (len(truths), 1, 5)), compute_plan_boxes(plans_lidar)], axis=1)
     world = _PlanSurroundings.of(truths)
-    contacts = _measure_contacts(ego, world, truths, lanes)
+    contacts = _measure_contacts(ego, world, truths, lanes, scene)
     without_contact = np.array([contact is None for contact in contacts])
     near = _measure_near_misses(ego, world, without_contact)
     return [PlanSeverityRow(contact=contact, near=near.get(sample)) for sample, contact in enumerate(contacts)]
 
 
 def _measure_contacts(
-    ego: Floats, world: _PlanSurroundings, truths: Sequence[SampleTruth], lanes: LaneLookup | None
+    ego: Floats,
+    world: _PlanSurroundings,
+    truths: Sequence[SampleTruth],
+    lanes: LaneLookup | None,
+    scene: Scene | None,
 ) -> list[PlanCollision | None]:
     contact_rows: list[PlanCollision | None] = [None] * len(truths)
     rows, instants = _find_first_hits(ego, world)
@@ -133,6 +155,11 @@ def _measure_contacts(
     impact, kinds = pairs.impact_speed, [KINDS[kind] for kind in pairs.kinds]
     changes = compute_delta_v(impact, masses)
     unsure = _find_ambiguous_lanes(mine, kinds, [truths[sample].lidar_pose for sample in samples], lanes)
+    tracks = [
+        trace_plan_contact(scene, truths[sample], ego[sample], world.ahead(row), instant)
+        for sample, row, instant in zip(samples.tolist(), rows.tolist(), instants.tolist())
+        if scene is not None
+    ]
     for place, (sample, row) in enumerate(zip(samples.tolist(), rows.tolist())):
         fault = is_at_fault(kinds[place], bool(unsure[place]))
         contact_rows[sample] = PlanCollision(
@@ -145,6 +172,7 @@ def _measure_contacts(
             fatal_probability=_rounded(compute_fatal_probability(changes[0][place])),
             agent=world.names[row],
             adversary=bool(world.adversary[row]),
+            fault=None if scene is None else attribute_contact(scene, tracks[place]),
         )
     return contact_rows
 
@@ -173,19 +201,8 @@ def _find_ambiguous_lanes(
     unsure = np.zeros(len(kinds), np.bool_)
     lateral = np.flatnonzero([kind is ContactKind.LATERAL for kind in kinds])
     if lanes is not None and len(lateral):
-        unsure[lateral] = lanes.unsure(_to_global(boxes[lateral], np.array(lidar_poses)[lateral]))
+        unsure[lateral] = lanes.unsure(place_lidar_boxes(boxes[lateral], np.array(lidar_poses)[lateral]))
     return unsure
-
-
-def _to_global(boxes: Floats, lidar_poses: Floats) -> Floats:
-    """(Q, 5) boxes of a lidar frame (x right, y forward) in the world, given (Q, 3) poses of the lidar there."""
-    turn = lidar_poses[:, 2] - np.pi / 2
-    cos, sin = np.cos(turn), np.sin(turn)
-    placed = boxes.copy()
-    placed[:, 0] = lidar_poses[:, 0] + boxes[:, 0] * cos - boxes[:, 1] * sin
-    placed[:, 1] = lidar_poses[:, 1] + boxes[:, 0] * sin + boxes[:, 1] * cos
-    placed[:, 4] = wrap_angle(boxes[:, 4] + turn)
-    return placed
 
 
 def _measure_near_misses(ego: Floats, world: _PlanSurroundings, spared: Bools) -> dict[int, PlanNearRow]:

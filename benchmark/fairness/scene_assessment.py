@@ -1,6 +1,6 @@
 """The judgement of a scene: one for each of its adversaries, from the tracks that are at hand, with fault and severity.
 
-On a map, the ego is at fault in a lateral contact in several lanes or off the road.
+On a map, nuPlan's rule has the ego at fault in a lateral contact in several lanes or off the road.
 """
 
 from collections.abc import Mapping
@@ -10,6 +10,7 @@ from typing import Final, Literal, TypeVar, cast
 
 import numpy as np
 
+from benchmark.fairness.contact_fault import attribute_contact, trace_recorded_contact
 from benchmark.fairness.severity_series import measure_severity
 from benchmark.fairness.validity import find_track_defects
 from benchmark.geometry import Floats
@@ -29,6 +30,7 @@ from benchmark.interactions.reaction import Driver
 from benchmark.interactions.solvability import SceneReferenceDrivers
 from benchmark.interactions.tracks import STEP_S, ContinuousTracks
 from benchmark.pdm.road_polygons import RoadPolygons, build_road_polygons, build_route
+from benchmark.records.fault import StoredFault
 from benchmark.records.scene_assessment import (
     DEFINITION,
     DRIVER_NAMES,
@@ -47,7 +49,9 @@ DIGITS: Final = 6
 """Numbers are rounded, so that they are the same on every machine."""
 
 
-def compute_impact(contact: EgoCollision, category: str, at_fault: bool | None) -> CollisionSeverity:
+def compute_impact(
+    contact: EgoCollision, category: str, at_fault: bool | None, fault: StoredFault | None = None
+) -> CollisionSeverity:
     """The numbers of the first contact of a run with an agent of a category, and whether the ego is to blame."""
     ego, other = compute_delta_v(np.asarray(contact.impact_speed), np.asarray(mass_kg(category)))
     numbers = {
@@ -59,7 +63,7 @@ def compute_impact(contact: EgoCollision, category: str, at_fault: bool | None) 
     }
     # Adding zero makes -0.0 plain.
     rounded = {name: round(value, DIGITS) + 0.0 for name, value in numbers.items()}
-    return CollisionSeverity(kind=contact.kind.value, at_fault=at_fault, **rounded)
+    return CollisionSeverity(kind=contact.kind.value, at_fault=at_fault, fault=fault, **rounded)
 
 
 def build_collision_at(tracks: ContinuousTracks, agent: int, time: float) -> EgoCollision:
@@ -91,7 +95,7 @@ def build_collision_at(tracks: ContinuousTracks, agent: int, time: float) -> Ego
 
 
 class SceneFaultAttribution:
-    """Blame for contacts of one scene; the map is only looked at for lateral ones."""
+    """Blame for contacts of one scene by nuPlan's rule; the map is only looked at for lateral ones."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
@@ -218,7 +222,8 @@ class _SceneAssessor:
     def _measure_impact(self, agent: int, time: float) -> CollisionSeverity:
         contact = build_collision_at(self.tracks, agent, time)
         blamed = self.fault_attribution.at_fault(contact.kind, contact.ego)
-        return compute_impact(contact, self.tracks.categories[agent], blamed)
+        fault = attribute_contact(self.scene, trace_recorded_contact(self.tracks, agent, time))
+        return compute_impact(contact, self.tracks.categories[agent], blamed, fault)
 
     def _faults(self, agent: int) -> StoredTrackDefects:
         known, scene = self.known, self.scene

@@ -4,6 +4,7 @@ Other packages add to it by entry points (docs/extending.md). Nothing is importe
 extension that is not installed, or does not work, is reported in one sentence.
 """
 
+import contextlib
 import importlib
 import importlib.util
 import sys
@@ -19,6 +20,8 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     "command": {
         "data card": "benchmark.extensions.cards.cli:data_card_command",
         "leaderboard card": "benchmark.extensions.cards.cli:records_card_command",
+        "leaderboard ability": "leaderboard.extensions.ability.cli:ability_command",
+        "leaderboard next": "leaderboard.extensions.ability.cli:next_command",
         "challenge": "benchmark.extensions.challenge.cli:app",
         "data export scenarionet": "benchmark.extensions.exchange.cli:export_scenarionet_command",
         "data export openscenario": "benchmark.extensions.exchange.cli:export_openscenario_command",
@@ -27,10 +30,10 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "data export infos": "benchmark.extensions.infos.cli:export_infos_command",
         "data import 123d": "generation.extensions.logs123d.cli:import_123d_command",
         "film": "leaderboard.extensions.films.cli:film_command",
-        "serve": "benchmark.extensions.http.cli:serve_command",
         "quality": "benchmark.extensions.quality.cli:quality_command",
         "reproduce": "benchmark.extensions.reproduce.cli:reproduce_command",
         "data review": "benchmark.extensions.review.cli:data_review_command",
+        "leaderboard export-alpasim": "benchmark.extensions.alpasim_table.cli:export_alpasim_command",
         "leaderboard submit-check": "benchmark.extensions.submissions.cli:submit_check_command",
         "train": "adapters.extensions.training.cli:app",
     },
@@ -42,25 +45,55 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     },
     # From settings to a `closed_loop.adversary.AdversaryFactory`.
     "agents": {"adversary": "generation.extensions.reactive_adversary.adversary_maker:build_reactive_adversary_maker"},
+    # From a scene and a `closed_loop.episodes.Episode` in it to parts of further scores, by the name of their column.
+    "drive score": {"alpasim": "benchmark.extensions.alpasim_score.drives:score_by_alpasim"},
     # A `benchmark.planning.Planner` by name, with its options.
     "planner": {},
     # From an address to a planner, and to a `closed_loop.sensors.Sensor`; by scheme.
-    "planner scheme": {"http": "benchmark.extensions.http.model:http_planner"},
+    "planner scheme": {
+        "http": "benchmark.extensions.http.model:http_planner",
+        "grpc": "benchmark.extensions.alpasim.model:egodriver_planner",
+    },
+    # From nothing to a `benchmark.machine.listening.ServingProtocol` of ``serve``.
+    "protocol": {
+        "neuroncap": "benchmark.extensions.http:describe_protocol",
+        "alpasim": "benchmark.extensions.alpasim:describe_protocol",
+    },
     "sensor": {"http": "benchmark.extensions.http.sensor:HttpSensor"},
     # From the options of ``generate`` and its own to a `generation.render.contract.RendererSource`.
     "renderer": {"magicdrive": "generation.extensions.magicdrive.cli:read_photorealistic_options"},
     # A dataclass of settings (`benchmark.cli.settings`) by kind and name of what it is for: ``renderer NAME`` adds to
-    # ``generate``, ``planner NAME`` to ``eval`` and ``drive``. The values are given as keyword arguments.
-    "options": {},
+    # ``generate``, ``planner NAME`` (or its scheme) to ``eval`` and ``drive``, ``protocol NAME`` to ``serve``. The
+    # values are given as keyword arguments.
+    "options": {
+        "planner grpc": "benchmark.extensions.alpasim.cli:EgodriverOptions",
+        "protocol neuroncap": "benchmark.extensions.http.cli:NeuroncapServeOptions",
+        "protocol alpasim": "benchmark.extensions.alpasim.cli:AlpasimServeOptions",
+    },
     # Pictures of scenes for ``data show``.
     "pictures": {"conditions": "generation.extensions.magicdrive.condition_pictures:write_condition_pictures"},
+    # Names of recordings that mean nuScenes' (`benchmark.datasets.categories.choose_names`).
+    "names": {
+        "rig": "benchmark.extensions.own_recordings.rigs:read_rig",
+        "file": "benchmark.extensions.own_recordings.names:flatten_names",
+        "choose": "benchmark.extensions.own_recordings.names:choose_names",
+        "missing views": "benchmark.extensions.own_recordings.rigs:name_missing_views",
+        "caveats": "benchmark.extensions.own_recordings.rig_notes:list_caveats",
+    },
     # From records of a kind to `leaderboard.page.sections.Section`, in the order of the page.
     "section": {
+        "abilities": "leaderboard.extensions.ability.tables:build_sections",
         "challenges": "leaderboard.extensions.challenge.tables:build_sections",
         "quality": "leaderboard.extensions.quality.tables:build_sections",
     },
+    # From an output folder, run records and records of drives to records of a kind of ``section``.
+    "records": {"abilities": "leaderboard.extensions.ability.fit:find_fits"},
+    # From an output folder, names of a data set and a split or ``None`` to tables for ``data stats``.
+    "statistics": {"abilities": "leaderboard.extensions.ability.tables:list_statistics"},
     # From `leaderboard.frame.runs.DataSetRuns` to tables of the data set.
     "table": {},
+    # From records of drives through a data set to tables of them.
+    "drive table": {"alpasim": "leaderboard.extensions.alpasim_score.tables:alpasim_tables"},
     # From `leaderboard.frame.results.LeaderboardResults` to the text of an HTML page of the site.
     "page": {},
     # A `benchmark.protocols.contract.CollisionProtocol`, made without arguments, that ``--protocol`` names.
@@ -83,10 +116,17 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "severity": "benchmark.extensions.golden_sets.severity:GOLDEN",
         "realism": "benchmark.extensions.golden_sets.realism:GOLDEN",
         "fault": "benchmark.extensions.golden_sets.fault:GOLDEN",
+        "ability": "leaderboard.extensions.ability.verification:GOLDEN",
         "infos": "benchmark.extensions.infos.verification:GOLDEN",
         "hub": "benchmark.extensions.cards.hub_verification:GOLDEN",
         "import-123d": "generation.extensions.logs123d.verification:GOLDEN",
         "neuroncap": "benchmark.extensions.neuroncap.verification:GOLDEN",
+        "alpasim sessions": "benchmark.extensions.alpasim.verification:SESSIONS",
+        "alpasim traffic": "benchmark.extensions.alpasim.verification:TRAFFIC",
+        "alpasim reactions": "benchmark.extensions.alpasim.verification:REACTIONS",
+        "ability alpasim": "benchmark.extensions.alpasim_table.verification:GOLDEN",
+        "ability alpasim-refused": "benchmark.extensions.alpasim_table.verification:REFUSED",
+        "alpasim score": "benchmark.extensions.alpasim_score.verification:GOLDEN",
         "model": "adapters.extensions.golden_sets.models:verify_model",
     },
     "golden set of a renderer": {
@@ -199,6 +239,15 @@ def call_extension(kind: str, name: str, *arguments: Any, **options: Any) -> Any
         ) from error
 
 
+def call_installed(kind: str, *arguments: Any) -> list[Any]:
+    """What each extension that is installed here makes of something."""
+    found = []
+    for name in list_offers(kind):
+        with contextlib.suppress(AbsentExtensionError):
+            found.append(call_extension(kind, name, *arguments))
+    return found
+
+
 def import_reference(reference: str) -> Any:
     """Import ``module:attribute`` of the core or an extension; `AbsentExtensionError` if that is not installed."""
     module, _, attribute = reference.partition(":")
@@ -210,7 +259,18 @@ def import_reference(reference: str) -> Any:
         raise make_absent_error(name) from None
 
 
+def require_extra(module: str, what: str, extra: str) -> None:
+    """Raise `InputError` where what is done needs an optional package of one of our extras; nothing is imported."""
+    advice = f"install it with: pip install 'challenger-bench[{extra}]'"
+    require_package(module, f"{what} needs the package {module}; {advice}")
+
+
 def require_package(module: str, sentence: str) -> None:
     """Raise `InputError` with a sentence where an optional package is not installed; nothing is imported."""
-    if importlib.util.find_spec(module) is None:
+    try:
+        found = importlib.util.find_spec(module)
+    except ModuleNotFoundError:
+        # Of a package that it is in.
+        found = None
+    if found is None:
         raise InputError(sentence)

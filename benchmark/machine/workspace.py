@@ -1,9 +1,10 @@
 """Where a command finds its data set and puts what it makes (docs/decisions/0002)."""
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from benchmark.errors import InputError
 from benchmark.machine.user_cache import cache_root as cache_root
@@ -19,10 +20,27 @@ GENERATED_SPLITS = ("val-r", "adv")
 EMBEDDED = "mini"
 DEMONSTRATED = "demo"
 """The small town, and the ``adv`` made from it, that ``challenger-bench demo`` leaves below ``--out``."""
-EMBEDDED_NAMES = (EMBEDDED, DEMONSTRATED)
-"""Values of ``--data`` beside the root of a data set; a folder of such a name is written ``./demo``."""
+EMBEDDED_VERSION: Final = 1
+"""Version of the town that ``mini`` names; `generation.sources.embedded` has all versions."""
+_EMBEDDED_NAME: Final = re.compile(rf"{EMBEDDED}(?:@(?P<version>[1-9]\d{{0,3}}))?")
 
 TIMINGS_FOLDER = "timings"
+
+
+def is_embedded_name(data: str) -> bool:
+    """Whether a value of ``--data`` is no root: ``mini``, ``mini@1``, ``demo``; a folder so called is ``./demo``."""
+    return data == DEMONSTRATED or read_embedded_version(data) is not None
+
+
+def read_embedded_version(data: str) -> int | None:
+    """Version of the embedded town that ``mini`` or ``mini@1`` names, if there is one; ``None`` of other data sets."""
+    found = _EMBEDDED_NAME.fullmatch(data)
+    return None if found is None else int(found["version"] or EMBEDDED_VERSION)
+
+
+def strip_version(data: str) -> str:
+    """Name of a data set without the version of a town: what is made from ``mini@1`` says ``mini``, as it did."""
+    return data if read_embedded_version(data) is None else EMBEDDED
 
 
 def find_timings_folder(made: Path) -> Path:
@@ -124,7 +142,8 @@ class Workspace:
         if not is_finished(root) and build is not None:
             root = build()
         if not is_finished(root):
-            data = None if source.name == EMBEDDED else source.root
+            town = None if source.name == EMBEDDED else source.name
+            data = source.root if read_embedded_version(source.name) is None else town
             raise InputError(
                 f"split {split!r} of {source.name} is missing at {root}; build it with: challenger-bench generate"
                 f"{format_options(data=data)} {format_generate_options(split)}{format_options(out=self.out)}"
@@ -133,11 +152,18 @@ class Workspace:
         made_from = (generated.provenance() or {}).get("source") or {}
         if made_from.get("fingerprint") != source.fingerprint():
             raise InputError(
-                f"{root} was generated from another version of {source.name} (its fingerprint differs); "
+                f"{root} was generated from another version of {source.name} (its fingerprint differs"
+                f"{hint_at_earlier_town(source.name)}); "
                 f"run challenger-bench generate{format_options(data=source.root)} {format_generate_options(split)} "
                 "again or choose another --out"
             )
         return generated
+
+
+def hint_at_earlier_town(data: str) -> str:
+    """What to say where ``mini`` is not what it was: how its last version is opened; nothing of other data sets."""
+    is_newer = data == EMBEDDED and EMBEDDED_VERSION > 1
+    return f"; before, {EMBEDDED} was what --data {EMBEDDED}@{EMBEDDED_VERSION - 1} is now" if is_newer else ""
 
 
 def is_generated(split: str) -> bool:

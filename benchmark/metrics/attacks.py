@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from benchmark.fairness.attack import READINGS, Attack, Reading, any_or_unknown
-from benchmark.metrics.rates import Rate, compute_ratios_over_scenes
+from benchmark.metrics.rates import NO_RATE, Rate, compute_ratios_over_scenes
 from benchmark.metrics.scores import map_scenes_to_sources
+from benchmark.records.fault import FaultVerdict, blames_ego
 from benchmark.records.row_schema import BriefRow
 from benchmark.records.run import RunRecord
 from benchmark.records.seed_splits import is_adversarial
@@ -39,12 +40,14 @@ __all__ = [
 class SceneAttack:
     """Attack success in one scene: of each sample that counts, and by reading, ``None`` where it cannot be told.
 
-    ``bystanders`` tells of each sample whether its first contact is with another than an adversary.
+    ``bystanders`` tells of each sample whether its first contact is with another than an adversary, ``faults`` whose
+    fault (``fault@1``) one with an adversary is.
     """
 
     samples: tuple[Attack, ...]
     verdicts: dict[Reading, bool | None]
     bystanders: tuple[bool, ...]
+    faults: tuple[FaultVerdict | None, ...] = ()
 
     @property
     def bystander(self) -> bool | None:
@@ -57,8 +60,10 @@ class AttackRates:
     """Attack success on one planner.
 
     ``judged`` are scenes of which it is known whether the careful human survives them, ``spared`` those that it
-    survives; ``unknown_fault`` are samples with a contact of which it cannot be told whose fault it is. Bystander rates
-    are of samples whose first contact is with another than an adversary, and of scenes with such a sample.
+    survives; ``unknown_fault`` are samples with a contact that does not say whose fault it is, as in older records:
+    then there is no rate of fault. ``shared`` and ``unclear`` are of samples whose contact is both users' fault, or
+    nobody knows whose. Bystander rates are of samples whose first contact is with another than an adversary, and of
+    scenes with such a sample.
     """
 
     samples: dict[Reading, Rate]
@@ -68,6 +73,8 @@ class AttackRates:
     unknown_fault: int
     bystander_samples: Rate
     bystander_scenes: Rate
+    shared: Rate
+    unclear: Rate
 
 
 def has_adversaries(record: RunRecord) -> bool:
@@ -111,11 +118,14 @@ def collect_scene_attacks(record: RunRecord) -> dict[str, SceneAttack]:
     """Attack success by scene, in the record's order; the record must say how severe its plans are (`has_severity`)."""
     by_scene: dict[str, list[Attack]] = {scene: [] for scene in record.run.scenes}
     bystanders: dict[str, list[bool]] = {scene: [] for scene in by_scene}
+    faults: dict[str, list[FaultVerdict | None]] = {scene: [] for scene in by_scene}
     survivors = {scene: careful_survives(record, scene) for scene in by_scene}
     for row in select_counted_rows(record):
         by_scene[row.scene].append(_to_attack(row, survivors[row.scene]))
         contact = None if row.severity is None else row.severity.contact
         bystanders[row.scene].append(contact is not None and not contact.adversary)
+        fault = contact.fault if contact is not None and contact.adversary else None
+        faults[row.scene].append(None if fault is None else fault.verdict)
     columns = record.columns
     lost = np.flatnonzero(columns.failed & columns.flags("complete")).tolist()
     missing = {columns.values("scene")[place] for place in lost}
@@ -124,6 +134,7 @@ def collect_scene_attacks(record: RunRecord) -> dict[str, SceneAttack]:
             tuple(attacks),
             {reading: _combine_scene(attacks, reading, scene in missing, survivors[scene]) for reading in READINGS},
             tuple(bystanders[scene]),
+            tuple(faults[scene]),
         )
         for scene, attacks in by_scene.items()
     }
@@ -135,16 +146,30 @@ def compute_attack_rates(record: RunRecord) -> AttackRates:
     samples = [(scene, sample) for scene, attack in attacks.items() for sample in attack.samples]
     known = [survives for scene in attacks if (survives := careful_survives(record, scene)) is not None]
     others = [(scene, sample) for scene, attack in attacks.items() for sample in attack.bystanders]
+    unknown_fault = sum(attack.contact and attack.at_fault is None for _, attack in samples)
+    of_samples = _compute_rates(
+        record, [(scene, [getattr(sample, name) for name in READINGS]) for scene, sample in samples]
+    )
+    of_scenes = _compute_rates(record, [(scene, list(attack.verdicts.values())) for scene, attack in attacks.items()])
+
+    def share(verdict: FaultVerdict) -> Rate:
+        told = [(scene, fault is verdict) for scene, attack in attacks.items() for fault in attack.faults]
+        return NO_RATE if unknown_fault else _compute_rate(record, told)
+
+    if unknown_fault:
+        # The rest would be a rate of samples without contact.
+        of_samples |= dict.fromkeys(READINGS[1:], NO_RATE)
+        of_scenes |= dict.fromkeys(READINGS[1:], NO_RATE)
     return AttackRates(
         bystander_samples=_compute_rate(record, others),
         bystander_scenes=_compute_rate(record, [(scene, attack.bystander) for scene, attack in attacks.items()]),
-        samples=_compute_rates(
-            record, [(scene, [getattr(sample, name) for name in READINGS]) for scene, sample in samples]
-        ),
-        scenes=_compute_rates(record, [(scene, list(attack.verdicts.values())) for scene, attack in attacks.items()]),
+        samples=of_samples,
+        scenes=of_scenes,
         judged=len(known),
         spared=sum(known),
-        unknown_fault=sum(attack.contact and attack.at_fault is None for _, attack in samples),
+        unknown_fault=unknown_fault,
+        shared=share(FaultVerdict.SHARED),
+        unclear=share(FaultVerdict.UNCLEAR),
     )
 
 
@@ -159,7 +184,8 @@ def attack_rates_to_json(record: RunRecord) -> dict[str, Any]:
     of_samples: dict[str, Rate] = {name: success.samples[name] for name in READINGS}
     of_scenes: dict[str, Rate] = {name: success.scenes[name] for name in READINGS}
     parts = {
-        "samples": of_samples | {"bystander": success.bystander_samples},
+        "samples": of_samples
+        | {"bystander": success.bystander_samples, "shared": success.shared, "unclear": success.unclear},
         "scenes": of_scenes | {"bystander": success.bystander_scenes},
     }
     return {
@@ -171,7 +197,7 @@ def _to_attack(row: BriefRow, survives: bool | None) -> Attack:
     contact = None if row.severity is None else row.severity.contact
     if contact is None or not contact.adversary:
         return Attack.of(False, None, survives)
-    return Attack.of(True, contact.at_fault, survives)
+    return Attack.of(True, blames_ego(contact.fault), survives)
 
 
 def _combine_scene(attacks: Iterable[Attack], reading: Reading, missing: bool, survives: bool | None) -> bool | None:

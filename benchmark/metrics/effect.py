@@ -20,6 +20,7 @@ from benchmark.metrics.rates import HORIZONS, PairedDifference, append_average, 
 from benchmark.metrics.scores import ScoredSamples, map_scenes_to_sources, require_current, score_record
 from benchmark.protocols import PROTOCOLS, compute_published_values
 from benchmark.protocols.raster import HIT_ADVERSARY, TOUCHED_ADVERSARY, touches_adversary
+from benchmark.records.fault import FaultVerdict
 from benchmark.records.row_schema import PlanCollision
 from benchmark.records.rows import find_scene_failures, find_scenes_with
 from benchmark.records.run import RunRecord
@@ -33,14 +34,14 @@ AT_3_S: Final = 2
 class SampleContacts:
     """Contacts of the samples of a record under ``exact``, by whom they are with.
 
-    Rates are (S, 4), 0..1: contacts up to 1, 2 and 3 s, and their mean; ``adversary`` and ``at_fault`` are of first
-    contacts with an adversary, and of those at the planner's fault.
+    Rates are (S, 4), 0..1: contacts up to 1, 2 and 3 s, and their mean; ``adversary`` are of first contacts with an
+    adversary, and ``faults`` of those by whose fault they are (``fault@1``).
 
     Attributes:
         keys: S pairs of recording and key-frame index.
         counted: (S,) whether a verdict on contacts up to 3 s exists.
         weights: (S,) 1 / variants of the recording.
-        unknown_fault: (S,) first contacts with an adversary of which it is not known whose fault they are.
+        unknown_fault: (S,) first contacts with an adversary that do not say whose fault they are, as in older records.
         hits: S instances that are touched first, and seconds from the sample on; ``None`` without a contact.
         severity: S contacts with that instance as `benchmark.fairness.plan_severity` has them, fault included;
             ``None`` where the record has none.
@@ -51,7 +52,7 @@ class SampleContacts:
     weights: Floats
     any_contact: Floats
     adversary: Floats
-    at_fault: Floats
+    faults: Mapping[FaultVerdict, Floats]
     unknown_fault: Bools
     hits: tuple[tuple[str, float] | None, ...]
     severity: tuple[PlanCollision | None, ...]
@@ -89,14 +90,17 @@ class PairedEffect:
 class AdversaryEffect:
     """Effect of an adversarial split on a planner, over the samples that count.
 
-    ``touched`` are weighted rates of first contacts with an adversary at 1, 2, 3 s and their mean, ``at_fault`` of
-    those at the planner's fault; ``None`` where no sample counts, or it is not known which road users are adversaries.
-    ``unknown_fault`` are samples of unknown fault.
+    ``touched`` are weighted rates of first contacts with an adversary at 1, 2, 3 s and their mean, ``at_fault``,
+    ``shared_fault`` and ``unclear_fault`` of those at the planner's fault, at both users' and at nobody knows whose;
+    ``None`` where no sample counts, or it is not known which road users are adversaries, and of fault where contacts do
+    not say it: those are ``unknown_fault``.
     """
 
     record: RunRecord
     touched: tuple[float, ...] | None
     at_fault: tuple[float, ...] | None
+    shared_fault: tuple[float, ...] | None
+    unclear_fault: tuple[float, ...] | None
     unknown_fault: int
     samples: int
     recordings: int
@@ -147,12 +151,19 @@ def compute_effect(record: RunRecord, unchanged: RunRecord | None) -> AdversaryE
     contacts, known = collect_sample_contacts(record), knows_adversaries(record)
     rows = np.flatnonzero(contacts.counted)
     weights = contacts.weights[rows]
-    total = float(weights.sum())
+    total, unknown_fault = float(weights.sum()), int(contacts.unknown_fault[rows].sum())
+
+    def share(values: Floats) -> tuple[float, ...] | None:
+        return _average_weighted(values[rows], weights) if total and known else None
+
+    of_verdict = {verdict: None if unknown_fault else share(values) for verdict, values in contacts.faults.items()}
     return AdversaryEffect(
         record=record,
-        touched=_average_weighted(contacts.adversary[rows], weights) if total and known else None,
-        at_fault=_average_weighted(contacts.at_fault[rows], weights) if total and known else None,
-        unknown_fault=int(contacts.unknown_fault[rows].sum()),
+        touched=share(contacts.adversary),
+        at_fault=of_verdict[FaultVerdict.EGO],
+        shared_fault=of_verdict[FaultVerdict.SHARED],
+        unclear_fault=of_verdict[FaultVerdict.UNCLEAR],
+        unknown_fault=unknown_fault,
         samples=len(rows),
         recordings=len({contacts.keys[row][0] for row in rows.tolist()}),
         unchanged=unchanged,
@@ -170,7 +181,12 @@ def effect_to_json(record: RunRecord, unchanged: RunRecord | None) -> dict[str, 
         return {}
     rates = {
         name: None if values is None else dict(zip(HORIZONS, values, strict=True))
-        for name, values in (("adversary", effect.touched), ("at_fault", effect.at_fault))
+        for name, values in (
+            ("adversary", effect.touched),
+            ("at_fault", effect.at_fault),
+            ("shared_fault", effect.shared_fault),
+            ("unclear_fault", effect.unclear_fault),
+        )
     }
     partner = None if unchanged is None else {"data": unchanged.run.data.name, "split": unchanged.run.split}
     pairs = None if effect.paired is None else {**asdict(effect.paired), "ratio": effect.paired.ratio}
@@ -195,7 +211,7 @@ def collect_sample_contacts(record: RunRecord) -> SampleContacts:
     contacts = [None if (own := severity[place]) is None else own.contact for place in planned]
     with_adversary = np.array([bool(flag) for flag in adversary], np.bool_)
     same = tuple(one if one is not None and one.agent == name else None for one, name in zip(contacts, hit))
-    faults = [None if one is None else one.at_fault for one in same]
+    verdicts = np.array([None if one is None or one.fault is None else one.fault.verdict for one in same], object)
     by_horizon = np.array([[time is not None and time <= horizon for horizon in HORIZON_S] for time in first_s])
     touched = by_horizon.reshape(-1, 3) & with_adversary[:, None]
     return SampleContacts(
@@ -204,8 +220,11 @@ def collect_sample_contacts(record: RunRecord) -> SampleContacts:
         weights=np.array([1.0 / variants[recording] for recording in recordings]),
         any_contact=np.nan_to_num(any_contact),
         adversary=append_average(touched.astype(np.float64)),
-        at_fault=append_average((touched & np.array([bool(fault) for fault in faults])[:, None]).astype(np.float64)),
-        unknown_fault=with_adversary & np.array([fault is None for fault in faults], np.bool_),
+        faults={
+            verdict: append_average((touched & (verdicts == verdict)[:, None]).astype(np.float64))
+            for verdict in FaultVerdict
+        },
+        unknown_fault=with_adversary & np.array([verdict is None for verdict in verdicts], np.bool_),
         hits=tuple(None if name is None else (name, time) for name, time in zip(hit, first_s)),
         severity=same,
     )

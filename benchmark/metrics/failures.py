@@ -14,13 +14,20 @@ import numpy as np
 
 from benchmark.metrics.effect import AT_3_S, attributes_contacts, collect_sample_contacts, knows_contact_partners
 from benchmark.records.drives import DriveRecord
+from benchmark.records.fault import FaultVerdict, StoredFault, blames_ego
 from benchmark.records.rows import SampleRows, find_raised_line
 from benchmark.records.run import RunRecord
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
 
-_FAULT_ORDER: Final = {True: 0, None: 1, False: 2}
+_FAULT_ORDER: Final[dict[FaultVerdict | None, int]] = {
+    FaultVerdict.EGO: 0,
+    None: 1,
+    FaultVerdict.SHARED: 2,
+    FaultVerdict.UNCLEAR: 3,
+    FaultVerdict.OTHER: 4,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +42,9 @@ class Failure:
         hit: Instance that is touched; ``None``, like ``contact_s``, where an old record does not say it.
         category: Its category; ``None`` where the record does not say it and no data set was given.
         adversary: Whether it is an adversary; ``None`` where the record does not say that.
-        at_fault: Whether it is the planner's fault; ``None`` where that is not known.
+        at_fault: Whether it is the planner's fault (``fault@1``); ``None`` where the record does not say it.
         delta_v_m_s: Change of the ego's velocity; ``None`` where the record does not say it.
+        fault: Whose fault it is, and why; likewise.
     """
 
     scene: str
@@ -49,12 +57,13 @@ class Failure:
     adversary: bool | None
     at_fault: bool | None
     delta_v_m_s: float | None
+    fault: StoredFault | None = None
 
     @property
     def order(self) -> tuple[bool, int, float, str, int]:
         """Key to sort by, the worst first."""
-        speed = self.delta_v_m_s or 0.0
-        return self.adversary is not True, _FAULT_ORDER[self.at_fault], -speed, self.scene, self.index
+        speed, verdict = self.delta_v_m_s or 0.0, None if self.fault is None else self.fault.verdict
+        return self.adversary is not True, _FAULT_ORDER[verdict], -speed, self.scene, self.index
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,8 +160,9 @@ def _find_in_samples(record: RunRecord) -> Failures:
                 None if hit is None else hit[0],
                 None,
                 bool(contacts.adversary[row, AT_3_S]) if says_whom else None,
-                None if severity is None else severity.at_fault,
+                None if severity is None else blames_ego(severity.fault),
                 None if severity is None else severity.delta_v_ego_m_s,
+                None if severity is None else severity.fault,
             )
         )
     crashes = [
@@ -191,8 +201,9 @@ def _find_in_drives(record: DriveRecord) -> Failures:
                     contact.agent,
                     contact.category,
                     contact.adversary,
-                    contact.at_fault,
+                    blames_ego(contact.fault),
                     contact.delta_v_ego,
+                    contact.fault,
                 )
             )
     return _collect(record, failures, crashes, counted)

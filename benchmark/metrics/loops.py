@@ -18,6 +18,7 @@ from benchmark.metrics.rates import Rate, compute_ratios_over_scenes
 from benchmark.metrics.scores import require_current
 from benchmark.records.drive_schema import EpisodeRow
 from benchmark.records.drives import DriveRecord
+from benchmark.records.fault import FaultVerdict
 from benchmark.records.planner_versions import describe_version
 from benchmark.records.rows import find_scene_failures
 from benchmark.records.run import RunRecord
@@ -32,14 +33,15 @@ FEWEST_RANKED: Final = 3
 class SceneLoopComparison:
     """Open and closed loop of one planner on one scene made from the recording ``source``; shares are of drives.
 
-    ``open_fails`` if any sample collides in open loop; ``first`` is the drive with a contact that has the lowest run.
+    ``open_fails`` if any sample collides in open loop; ``at_fault`` is ``None`` where a contact does not say whose it
+    is; ``first`` is the drive with a contact that has the lowest run.
     """
 
     scene: str
     source: str
     open_fails: bool
     contact: float
-    at_fault: float
+    at_fault: float | None
     first: EpisodeRow | None
 
     @property
@@ -124,13 +126,15 @@ def compute_rank_correlation(found: Sequence[PlannerLoopComparison], *, at_fault
     """Whether closed loop ranks planners of one world as open loop does; miniatures are not ranked.
 
     Kendall's tau-b between shares of failed scenes and of drives with a contact (``at_fault``: of the ego's fault
-    only), over the scenes that all ranked planners have.
+    only; none where a record does not say it), over the scenes that all ranked planners have.
     """
     ranked = [item for item in found if not item.drives.facts.planner.miniature and item.scenes]
     common = set.intersection(*({item.scene for item in one.scenes} for one in ranked)) if ranked else set()
     if len(ranked) < FEWEST_RANKED or not common:
         return RankCorrelation(None, len(ranked), len(common))
-    shares = np.array([_compute_shares(one.scenes, common, at_fault=at_fault) for one in ranked])
+    if at_fault and any(scene.at_fault is None for one in ranked for scene in one.scenes):
+        return RankCorrelation(None, len(ranked), len(common))
+    shares = np.array([_compute_shares(one.scenes, common, at_fault=at_fault) for one in ranked], np.float64)
     return RankCorrelation(kendall_tau(shares[:, 0], shares[:, 1]), len(ranked), len(common))
 
 
@@ -171,13 +175,13 @@ def _compare_scene(
     if open_fails is None or not driven or (len(driven) < len(rows) and not hits):
         return None
     facts = drives.facts.scene_facts
-    at_fault_count = sum(row.contact is not None and row.contact.at_fault for row in hits)
+    at_fault_count = sum(row.fault is FaultVerdict.EGO for row in hits)
     return SceneLoopComparison(
         scene=scene,
         source=facts[scene].source if scene in facts else scene,
         open_fails=open_fails,
         contact=len(hits) / len(driven),
-        at_fault=at_fault_count / len(driven),
+        at_fault=at_fault_count / len(driven) if all(row.says_fault for row in hits) else None,
         first=min(hits, key=lambda row: row.run, default=None),
     )
 
@@ -186,12 +190,20 @@ def _compute_rates(scenes: Sequence[SceneLoopComparison], seed: int) -> list[Rat
     values = np.array(
         [[scene_loops.open_fails, scene_loops.contact, scene_loops.at_fault] for scene_loops in scenes], np.float64
     ).reshape(-1, 3)
+    # Of a column in which something is not known nothing counts.
+    known = np.broadcast_to(~np.isnan(values).any(axis=0), values.shape)
     return compute_ratios_over_scenes(
-        values, np.ones_like(values), [scene_loops.source for scene_loops in scenes], seed=seed
+        np.where(known, values, 0.0),
+        known.astype(np.float64),
+        [scene_loops.source for scene_loops in scenes],
+        seed=seed,
     )
 
 
 def _compute_shares(scenes: Sequence[SceneLoopComparison], common: set[str], *, at_fault: bool) -> tuple[float, float]:
     common_scenes = [scene_loops for scene_loops in scenes if scene_loops.scene in common]
     closed = [scene_loops.at_fault if at_fault else scene_loops.contact for scene_loops in common_scenes]
-    return float(np.mean([scene_loops.open_fails for scene_loops in common_scenes])), float(np.mean(closed))
+    return (
+        float(np.mean([scene_loops.open_fails for scene_loops in common_scenes])),
+        float(np.mean(np.array(closed, np.float64))),
+    )

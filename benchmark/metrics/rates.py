@@ -139,6 +139,10 @@ class Rate:
     high: float | None
 
 
+NO_RATE: Final = Rate(None, 0.0, 0, None, None)
+"""Of nothing that is known."""
+
+
 @dataclass(frozen=True, slots=True)
 class Estimate:
     """Number made of rates, with a 95 % interval.

@@ -10,6 +10,7 @@ import numpy as np
 from benchmark.metrics.attacks import select_counted_rows
 from benchmark.metrics.rates import Rate, compute_ratios_over_scenes
 from benchmark.metrics.scores import map_scenes_to_sources
+from benchmark.records.fault import FaultVerdict
 from benchmark.records.row_schema import PlanCollision, PlanNearRow
 from benchmark.records.run import RunRecord
 from benchmark.records.scene_assessment import DEFINITION, DRIVER_NAMES, AssessmentSummary, DriverName, KindName
@@ -35,11 +36,12 @@ class Spread:
 class ContactSeverities:
     """Samples whose first contact is with an adversary, or of those with a bystander; speeds in m/s.
 
+    ``faults`` are by whose fault they are (``fault@1``), ``None`` where that is not said, as in older records;
     ``mean_fatal`` and ``most_fatal`` are of the probability that an occupant of the ego dies.
     """
 
     samples: int
-    at_fault: int
+    faults: dict[FaultVerdict | None, int]
     kinds: dict[KindName, int]
     impact_speed: Spread
     delta_v_ego: Spread
@@ -78,7 +80,7 @@ def summarise_contacts(record: RunRecord, *, bystanders: bool = False) -> Contac
 
     return ContactSeverities(
         samples=len(contacts),
-        at_fault=sum(contact.at_fault is True for contact in contacts),
+        faults=dict(Counter(None if contact.fault is None else contact.fault.verdict for contact in contacts)),
         kinds=dict(Counter(contact.kind for contact in contacts)),
         impact_speed=spread(lambda contact: contact.impact_speed_m_s),
         delta_v_ego=spread(lambda contact: contact.delta_v_ego_m_s),

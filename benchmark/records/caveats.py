@@ -15,6 +15,7 @@ CaveatKind = Literal[
     "map",
     "motion",
     "images",
+    "cameras",
     "lidar",
     "forecasts",
     "masks",
@@ -25,8 +26,8 @@ CaveatKind = Literal[
 ]
 KINDS: Final[tuple[CaveatKind, ...]] = get_args(CaveatKind)
 """In the order in which they are printed."""
-OF_THE_DOOR: Final[frozenset[CaveatKind]] = frozenset({"as-is"})
-"""Kinds that only the command that took the plans in knows: judging stored plans anew keeps them."""
+OF_THE_DOOR: Final[frozenset[CaveatKind]] = frozenset({"as-is", "cameras"})
+"""Kinds that only the command that made the plans, or took them in, knows: judging stored plans anew keeps them."""
 
 
 class Caveat(Stored):

@@ -8,6 +8,7 @@ from pydantic import ConfigDict, Field, SerializerFunctionWrapHandler, model_ser
 from benchmark.machine.storage import content_key
 from benchmark.metrics.rates import Rate
 from benchmark.records.encounter_window import EncounterWindow, WindowName
+from benchmark.records.fault import NUPLAN_FAULT, FaultVerdict, StoredFault, blames_ego
 from benchmark.records.run_schema import Name, RecordFacts, Version
 from benchmark.records.scene_assessment import KindName, NotNegative
 from benchmark.records.stored import Stored
@@ -16,8 +17,9 @@ SCHEMA: Final = 1
 """Version of the format of records of drives; raised whenever a field changes."""
 MOST_RUNS: Final = 10_000
 REASONS: Final = ("raised", "no plan", "unusable plan", "timeout", "died")
-StopCondition = Literal["contact", "fault"]
-"""Event that ends a drive early: any contact, or one that is the ego's fault."""
+StopCondition = Literal["contact", "fault@1", "fault@nuplan", "fault"]
+"""Event that ends a drive early: any contact, or one that is the ego's fault, by our rule or by nuPlan's, which older
+records call ``fault``."""
 ScenariosName = Literal["recorded", "own", "official", "file"]
 """Scenarios of NeuroNCAP's engine: none, ours, NeuroNCAP's own, or one of a file."""
 SCENARIOS: Final[tuple[ScenariosName, ...]] = get_args(ScenariosName)
@@ -44,6 +46,7 @@ class ClosedLoopDefinition(Stored):
         window: Part of each scene that was driven. Not written where it is all of it.
         windows_of: Of recordings that are driven as an adversarial split is: its name, and the hash of its windows. Not
             written of all others.
+        plan_hz: How often planners were asked in a second. Not written where it is 2.
     """
 
     engine: Name
@@ -57,11 +60,12 @@ class ClosedLoopDefinition(Stored):
     until: StopCondition = "contact"
     window: WindowName = "scene"
     windows_of: dict[str, str] = Field(default_factory=dict)
+    plan_hz: Literal[2, 10] = 2
 
     @model_serializer(mode="wrap")
     def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
         written = _without_empty(write(self), "agents_facts", "windows_of", "scenario_facts")
-        usual = (("until", "contact"), ("window", "scene"))
+        usual = (("until", "contact"), ("window", "scene"), ("plan_hz", 2))
         return {name: value for name, value in written.items() if (name, value) not in usual}
 
     @property
@@ -70,11 +74,20 @@ class ClosedLoopDefinition(Stored):
         facts = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in sorted(self.agents_facts.items()))
         agents = f", agents {self.agents}{f' ({facts})' if facts else ''}" if self.engine == "default" else ""
         late = f", latency {self.latency_ms} ms" if self.latency_ms else ""
+        late += f", plans at {self.plan_hz} Hz" if self.plan_hz != 2 else ""
         of = f"{' of' if self.window == 'encounter' else ', as'} {self.windows_of['split']}" if self.windows_of else ""
         window = f"{', window encounter' if self.window == 'encounter' else ''}{of}"
-        return (
-            f"{self.engine}{self._scenarios}{agents}{late}{window}{'' if self.until == 'contact' else ', until fault'}"
-        )
+        return f"{self.engine}{self._scenarios}{agents}{late}{window}{f', until {self.rule}' if self.rule else ''}"
+
+    @property
+    def until_words(self) -> list[str]:
+        """What names of files and tables say of `rule`; none where there is none."""
+        return [f"until-{self.rule.replace('@', '-')}"] if self.rule else []
+
+    @property
+    def rule(self) -> str | None:
+        """Rule of fault by which a contact ends a drive; ``None`` where any contact does."""
+        return None if self.until == "contact" else NUPLAN_FAULT if self.until == "fault" else self.until
 
     @property
     def _scenarios(self) -> str:
@@ -142,8 +155,9 @@ class ScoredContact:
     Attributes:
         category: Of the other.
         kind: Kind of contact, as nuPlan classifies it.
-        at_fault: Whether it is the ego's fault.
+        at_fault: Whether it is the ego's fault by nuPlan's rule.
         delta_v_other: Change of velocity of the other.
+        fault: Whose fault it is by ``fault@1``; null in older records.
     """
 
     seconds: float
@@ -155,6 +169,7 @@ class ScoredContact:
     impact_speed: NotNegative
     delta_v_ego: NotNegative
     delta_v_other: NotNegative
+    fault: StoredFault | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,6 +240,7 @@ class ScoreRow(Stored):
 
     Attributes:
         progress_m: Driven along the route.
+        further: Parts of scores of extensions, by score, one of them ``score``; not written where there are none.
     """
 
     progress_m: float
@@ -234,6 +250,11 @@ class ScoreRow(Stored):
     nuplan: NuplanTerms | None
     hd: HdScore | None
     neuroncap: NeuroncapScore | None
+    further: dict[Name, dict[Name, float | None]] = Field(default_factory=dict)
+
+    @model_serializer(mode="wrap")
+    def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return _without_empty(write(self), "further")
 
 
 class TickRows(Stored):
@@ -277,7 +298,7 @@ class LadderOutcome:
     """Outcome of a reference driver in the same encounter; it survives if it touches nothing.
 
     ``seconds`` is from the start of the drive to its first contact, ``agent`` the touched instance, and ``at_fault`` by
-    nuPlan's rules, as if the driver kept to one lane.
+    nuPlan's rule, as if the driver kept to one lane.
 
     Attributes:
         survives: Whether it touches nothing.
@@ -313,12 +334,16 @@ class EpisodeRow(Stored):
         failure: Why the planner failed.
         adversary: Track of an adversary that answers; not written where there was none.
         ladder: Outcomes of reference drivers, by driver; not written where none drove.
-        passed: Contacts before `contact` that did not end it, none of them the ego's fault; not written if none.
+        passed: Contacts before `contact` that did not end it, none the ego's fault by the rule that ends the drive; not
+            written if none.
         unlabelled: Whether annotations are missing, or in a part of the scene: the drive says nothing of contacts then.
             Not written where it is labelled throughout.
         window: Part of the scene that was driven around an encounter; not written of drives without one.
         ttc_s: Smallest time to collision of each half second driven in a window, null above 2.9 s; not written of all
             others.
+        between: Plans between two instants, of each, where the planner was asked more often; not written of all others.
+        notes: What was peculiar in the planner's answers, which were taken all the same; not written where nothing was.
+        terminated: Whether the planner ended the drive; not written where it did not.
     """
 
     scene: Name
@@ -338,15 +363,39 @@ class EpisodeRow(Stored):
     unlabelled: bool = False
     window: EncounterWindow | None = None
     ttc_s: list[NotNegative | None] = Field(default_factory=list)
+    between: list[list[EpisodePlan]] = Field(default_factory=list)
+    notes: list[str] = Field(default_factory=list)
+    terminated: bool = False
 
     @model_serializer(mode="wrap")
     def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return _without_empty(write(self), "adversary", "ladder", "passed", "unlabelled", "window", "ttc_s")
+        optional = ("adversary", "ladder", "passed", "unlabelled", "window", "ttc_s", "between", "notes", "terminated")
+        return _without_empty(write(self), *optional)
 
     @property
     def first_contact(self) -> ScoredContact | None:
         """The first contact, whether it ended the drive or not."""
         return self.passed[0] if self.passed else self.contact
+
+    @property
+    def touches(self) -> tuple[ScoredContact, ...]:
+        """All contacts."""
+        return (*self.passed, *(() if self.contact is None else (self.contact,)))
+
+    @property
+    def says_fault(self) -> bool:
+        """Whether it says of all its contacts whose fault they are; older records do not."""
+        return all(touch.fault is not None for touch in self.touches)
+
+    @property
+    def fault(self) -> FaultVerdict | None:
+        """Whose fault its contacts are by ``fault@1``: the ego's if any is, else shared or unclear if any is.
+
+        ``None`` without a contact.
+        """
+        verdicts = {touch.fault.verdict for touch in self.touches if touch.fault is not None}
+        order = (FaultVerdict.EGO, FaultVerdict.SHARED, FaultVerdict.UNCLEAR, FaultVerdict.OTHER)
+        return next((verdict for verdict in order if verdict in verdicts), None)
 
     @property
     def fair(self) -> bool | None:
@@ -364,7 +413,7 @@ class EpisodeRow(Stored):
             raise ValueError("a failed drive needs a reason and no scores, any other drive needs scores")
         if (self.contact is not None) != (self.end == "contact"):
             raise ValueError("a drive needs a contact exactly if a contact ended it")
-        if any(collision.at_fault for collision in self.passed):
+        if any(touch.at_fault and blames_ego(touch.fault) is not False for touch in self.passed):
             raise ValueError("a contact that is the ego's fault ends a drive")
         if len(self.ticks.time_us) != len(self.ticks.ego):
             raise ValueError("every planning instant needs a time and a state")

@@ -24,6 +24,7 @@ from benchmark.records.drive_schema import (
     EpisodeRow,
     PublishedTable,
 )
+from benchmark.records.fault import FaultVerdict, blames_ego
 from benchmark.records.neuroncap_aggregate import Metrics, NeuroncapSwitches, aggregate_runs
 from benchmark.records.planner_cost import PlannerCost
 from benchmark.records.run_schema import SceneFacts
@@ -84,6 +85,10 @@ DRIVE_FILES: Final = RecordFileNames(DRIVE_FILE, ROWS_FILE, SUMMARY_FILE)
 NNS, COLLISION_RATE = "nns", "collision"
 ATTRIBUTABLE, BYSTANDER = "attributable", "bystander"
 """Contacts at fault where a careful human survives: with the adversary, and with anybody else."""
+AT_FAULT, SHARED, UNCLEAR, AT_FAULT_NUPLAN = "at_fault", "shared_fault", "unclear_fault", "at_fault_nuplan"
+"""Drives whose contacts are the ego's fault, both users' or nobody knows whose, by ``fault@1``; the ego's by nuPlan."""
+_OF_FAULT: Final = (AT_FAULT, SHARED, UNCLEAR, ATTRIBUTABLE, BYSTANDER)
+"""Columns that nothing is known of where a contact does not say whose fault it is."""
 _Read = TypeVar("_Read", bound=Stored)
 
 
@@ -153,13 +158,15 @@ def compute_column_values(row: EpisodeRow) -> dict[str, float | None]:
     Columns of the two engines have different names. A scene that is not labelled throughout says nothing of others.
     """
     values = _compute_values(row)
+    if not row.says_fault:
+        values |= {name: None for name in _OF_FAULT if name in values}
     if not row.unlabelled:
         return values
     return {name: value if name in _WITHOUT_OTHERS else None for name, value in values.items()}
 
 
 def _compute_values(row: EpisodeRow) -> dict[str, float | None]:
-    scores, contact, first = row.scores, row.contact, row.first_contact
+    scores, contact, first, touches = row.scores, row.contact, row.first_contact, row.touches
     assert scores is not None, "a failed drive has no value in any column"
     common: dict[str, float | None] = {
         "route": scores.route_share,
@@ -174,10 +181,12 @@ def _compute_values(row: EpisodeRow) -> dict[str, float | None]:
         both = {NNS: outcome.score, COLLISION_RATE: hit}
         families = {f"{name}_{row.family}": value for name, value in both.items()} if row.family else {}
         return {**both, "impact_speed": speed, **common, **families}
-    touches = [touch for touch in (*row.passed, contact) if touch is not None]
     values: dict[str, float | None] = {
         "contact": float(first is not None),
-        "at_fault": float(contact is not None and contact.at_fault),
+        AT_FAULT: float(row.fault is FaultVerdict.EGO),
+        SHARED: float(row.fault is FaultVerdict.SHARED),
+        UNCLEAR: float(row.fault is FaultVerdict.UNCLEAR),
+        AT_FAULT_NUPLAN: float(any(touch.at_fault for touch in touches)),
         "with_adversary": float(any(touch.adversary for touch in touches)),
         "impact_speed": None if first is None else first.impact_speed,
         "delta_v": None if first is None else first.delta_v_ego,
@@ -188,16 +197,16 @@ def _compute_values(row: EpisodeRow) -> dict[str, float | None]:
     if row.ladder is not None:
         values |= {f"survives_{name}": float(outcome.survives) for name, outcome in row.ladder.items()}
     if row.fair is not None:
-        blamed = row.fair and contact is not None and contact.at_fault
-        pursued = contact is not None and contact.adversary
-        values |= {ATTRIBUTABLE: float(blamed and pursued), BYSTANDER: float(blamed and not pursued)}
+        blamed = [touch for touch in touches if row.fair and blames_ego(touch.fault)]
+        pursued = any(touch.adversary for touch in blamed)
+        values |= {ATTRIBUTABLE: float(pursued), BYSTANDER: float(bool(blamed) and not pursued)}
     terms, hd = scores.nuplan, scores.hd
     values["off_road"] = None if terms is None else 1.0 - terms.dac
     for name in ("score", "nc", "dac", "mp", "ddc", "p", "ttc", "c"):
         values[f"nuplan_{name}"] = None if terms is None else getattr(terms, name)
     for name in ("score", "plans", "completed"):
         values[f"hd_{name}"] = None if hd is None else getattr(hd, name)
-    return values
+    return values | {name: parts.get("score") for name, parts in scores.further.items()}
 
 
 def summarise_episodes(
@@ -212,6 +221,9 @@ def summarise_episodes(
     columns: dict[str, Rate] = {}
     if driven:
         values = [compute_column_values(row) for row in driven]
+        if not all(row.says_fault for row in driven):
+            # A rate over the drives without contact would be none.
+            values = [one | {name: None for name in _OF_FAULT if name in one} for one in values]
         names = list(dict.fromkeys(name for row_values in values for name in row_values))
         table = np.array([[row_values.get(name) for name in names] for row_values in values], np.float64)
         known = ~np.isnan(table)
@@ -234,13 +246,14 @@ def summarise_episodes(
 def compute_columns(record: DriveRecord) -> Mapping[str, Rate]:
     """The columns of a record's summary as they are defined now.
 
-    Older summaries count contacts with bystanders as attributable; the rows say whom each contact is with.
+    Older summaries have fault by nuPlan's rule as ``at_fault``, of contacts that do not say whose fault they are by
+    ``fault@1`` until they are rescored.
     """
     stored, facts = record.summary.columns, record.facts
-    if BYSTANDER in stored or ATTRIBUTABLE not in stored:
+    if AT_FAULT_NUPLAN in stored or AT_FAULT not in stored:
         return stored
     columns = summarise_episodes(record.rows, facts.scene_facts, seed=facts.seed, engine=facts.measured.engine).columns
-    return {**stored, **{name: columns[name] for name in (ATTRIBUTABLE, BYSTANDER)}}
+    return {**stored, **{name: columns[name] for name in (*_OF_FAULT, AT_FAULT_NUPLAN) if name in columns}}
 
 
 def write_drives(directory: Path, facts: Mapping[str, Any], rows: Sequence[EpisodeRow], *, seed: int) -> DriveRecord:

@@ -190,6 +190,7 @@ class SampleRow(Stored):
         speed_m_s: Its speed; null in older records.
         severity: How severe the plan is (docs/severity.md); null where there is no plan or the surroundings are not
             annotated, and in older records.
+        note: What was peculiar in the planner's answer, which was taken all the same; not written where nothing was.
     """
 
     scene: str
@@ -212,6 +213,7 @@ class SampleRow(Stored):
     place: PlaceName | None = None
     speed_m_s: float | None = Field(default=None, ge=0)
     severity: PlanSeverityRow | None = None
+    note: str = ""
 
 
 @dataclass(frozen=True, slots=True)

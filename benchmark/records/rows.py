@@ -249,7 +249,8 @@ def _is_cached(file: tuple[Path, str]) -> bool:
 
 def format_line(row: SampleRow) -> str:
     """A row as files have it."""
-    return canonical_json(row.model_dump(mode="json"))
+    # Younger than records that must stay the same bytes.
+    return canonical_json(row.model_dump(mode="json", exclude=None if row.note else {"note"}))
 
 
 @functools.cache

@@ -11,6 +11,7 @@ from typing import Annotated, Final, Literal, Self, get_args
 
 from pydantic import Field, model_validator
 
+from benchmark.records.fault import StoredFault
 from benchmark.records.stored import Stored
 
 DEFINITION: Final = 2
@@ -87,7 +88,7 @@ class ReferenceDriverRun(Stored):
 class CollisionSeverity(Stored):
     """A contact in numbers (`benchmark.fairness.scene_assessment`).
 
-    ``at_fault`` is whether the ego is to blame, null where only a map could tell and there is none.
+    ``at_fault`` is whether the ego is to blame by nuPlan's rule, null where only a map could tell and there is none.
     ``impact_speed_m_s`` is the size of the difference of the velocities, ``fatal_probability`` that of those in the
     ego.
 
@@ -96,6 +97,7 @@ class CollisionSeverity(Stored):
         kind: Kind of contact, as nuPlan classifies it.
         delta_v_ego_m_s: Change of velocity of the ego.
         delta_v_other_m_s: Change of velocity of the other.
+        fault: Whose fault it is by ``fault@1``; null in older records.
     """
 
     time_s: float
@@ -105,6 +107,7 @@ class CollisionSeverity(Stored):
     delta_v_ego_m_s: NotNegative
     delta_v_other_m_s: NotNegative
     fatal_probability: Share
+    fault: StoredFault | None = None
 
 
 class InteractionSeverity(Stored):

@@ -11,6 +11,7 @@ from benchmark.records.drive_schema import EpisodeRow
 from benchmark.records.encounter_window import EncounterWindow
 from benchmark.records.scene_pages import PageAgent, StoredScenePage
 from benchmark.records.search_trace import SearchTraceFrame
+from benchmark.report.fault_words import describe_fault
 from benchmark.report.overlays import (
     CandidatesOverlay,
     CollisionMark,
@@ -125,14 +126,13 @@ def list_strip_steps(row: EpisodeRow, begins_s: float) -> list[StripStep]:
 
 def list_touches(row: EpisodeRow, begins_s: float) -> list[tuple[float, str, bool]]:
     """When the ego touched whom, and whether that was the adversary; seconds and words."""
-    touches = [*row.passed, *([] if row.contact is None else [row.contact])]
     return [
         (
             begins_s + touch.seconds,
-            f"{'the adversary' if touch.adversary else touch.category}, {'' if touch.at_fault else 'not '}at fault",
+            f"{'the adversary' if touch.adversary else touch.category}, {describe_fault(touch)}",
             touch.adversary,
         )
-        for touch in touches
+        for touch in row.touches
     ]
 
 

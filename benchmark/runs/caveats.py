@@ -2,10 +2,12 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from benchmark.datasets.annotated_objects import AnnotationCount
+from benchmark.datasets.categories import SENSOR
 from benchmark.datasets.truth_facts import MISFIT_SHARE, are_boxes_across
+from benchmark.machine.extension import call_extension
 from benchmark.records.caveats import OF_THE_DOOR, Caveat, sort_caveats
 from benchmark.records.drive_schema import ClosedLoopDefinition, EpisodeRow
 from benchmark.records.rows import SampleRows
@@ -13,6 +15,9 @@ from benchmark.records.run_schema import InputFacts, PlannerFacts, SceneFacts, T
 from benchmark.report.words import pluralise
 from benchmark.untrusted.plan_plausibility import ComparedPlans
 from benchmark.untrusted.plan_verdicts import list_plan_caveats
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
 
 _DERIVED, _OFFERED, _WITHOUT = '"ego_motion":"derived"', '"forecasts":{', '"forecasts":null'
 """In the JSON of a row, where text that a planner wrote cannot have them: its quotation marks are escaped."""
@@ -51,8 +56,8 @@ def list_data_caveats(scenes: Mapping[str, SceneFacts]) -> Iterator[Caveat]:
     if without := [name for name, inputs in facts.items() if not inputs.lidar]:
         yield Caveat(
             kind="lidar",
-            sentence=f"{_format_scenes(without, facts)} {_have(without)} no LIDAR_TOP: the lidar, whose place "
-            "plans and protocols is assumed to be mounted as on nuScenes' cars",
+            sentence=f"{_format_scenes(without, facts)} {_have(without)} no LIDAR_TOP: the lidar, from "
+            "whose place plans and protocols count, is assumed to be mounted as on nuScenes' cars",
         )
 
 
@@ -97,6 +102,14 @@ def list_planner_caveats(planner: PlannerFacts, scenes: Mapping[str, SceneFacts]
             sentence=f"{without} of {pluralise(offered + without, 'plan')} have no forecasts, unlike the others: no "
             "cause is given for their collisions",
         )
+
+
+def list_camera_caveats(planner: PlannerFacts, data: "DataSet", scenes: Sequence[str]) -> list[Caveat]:
+    """Caveats about views that a rig lacks, and how far it is from the one that networks were trained on."""
+    if not any(name.startswith(SENSOR) for name, _ in data.categories):
+        return []
+    sentences = call_extension("names", "caveats", planner, data.categories, data.scene(scenes[0]).cameras)
+    return [Caveat(kind="cameras", sentence=sentence) for sentence in sentences]
 
 
 def list_drive_input_caveats(

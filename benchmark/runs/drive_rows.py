@@ -12,6 +12,7 @@ from benchmark.closed_loop.scoring import EpisodeScores
 from benchmark.closed_loop.simulation_config import interpolate_recorded_poses
 from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
 from benchmark.geometry import to_global, to_local, wrap_angle
+from benchmark.planning import Plan
 from benchmark.records.drive_schema import EpisodeRow
 from benchmark.records.run_schema import TruthFacts
 from benchmark.records.search_trace import SearchTraceFrame
@@ -72,19 +73,23 @@ def build_episode_row(stage: EpisodeSpec, drive: Episode, scores: EpisodeScores 
                 "command": [int(command) for command in drive.commands],
                 "station": np.round(drive.stations, DECIMALS).tolist(),
             },
-            "plans": [
-                {"frame": plan.frame.value, "waypoints": np.asarray(plan.waypoints, float).tolist()}
-                for plan in drive.plans
-            ],
+            "plans": [_encode_plan(plan) for plan in drive.plans],
             "contact": contact,
             "passed": [] if scores is None else [_rounded(asdict(collision)) for collision in scores.passed],
             "scores": None if scores is None else _score_row(drive, scores),
             "failure": None if failure is None else {"reason": failure.reason.value, "text": failure.text},
             "adversary": None if drive.adversary is None else encode_adversary_track(stage, drive.adversary),
             "window": None if drive.window is None else asdict(drive.window),
+            "between": [[_encode_plan(plan) for plan in plans] for plans in drive.between],
+            "notes": list(drive.notes),
+            "terminated": drive.terminated,
             "ttc_s": [] if scores is None else [round(s, 2) + 0.0 if np.isfinite(s) else None for s in scores.ttc_s],
         }
     )
+
+
+def _encode_plan(plan: Plan) -> dict[str, Any]:
+    return {"frame": plan.frame.value, "waypoints": np.asarray(plan.waypoints, float).tolist()}
 
 
 def mark_labelled(rows: Sequence[EpisodeRow], scenes: Mapping[str, TruthFacts]) -> list[EpisodeRow]:
@@ -135,6 +140,7 @@ def _score_row(drive: Episode, scores: EpisodeScores) -> dict[str, Any]:
             "nuplan": None if scores.nuplan is None else asdict(scores.nuplan),
             "hd": None if scores.hd is None else asdict(scores.hd),
             "neuroncap": None if drive.neuroncap is None else asdict(drive.neuroncap),
+            "further": scores.further,
         }
     )
 

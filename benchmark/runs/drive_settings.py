@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from benchmark.closed_loop.adversary import ADVERSARY
 from benchmark.closed_loop.default_engine import DefaultBackend, describe_agents, read_stop_condition
-from benchmark.closed_loop.episodes import EpisodeSpec
+from benchmark.closed_loop.episodes import USUAL_HZ, EpisodeSpec
 from benchmark.closed_loop.observation_builder import NoSensor, Sensor
 from benchmark.closed_loop.planner_calls import DEFAULT_TIMEOUT_S
 from benchmark.closed_loop.simulation_state import SimulatorBackend
@@ -159,6 +159,7 @@ class DriveSettings:
             ``None`` drives scenes as recordings are driven: all of each, and ``idm`` drives everybody.
         windows: Windows of scenes where they are known already; found in the data set otherwise.
         windows_of: The adversarial split whose windows they are, where recordings are driven.
+        plan_hz: How often planners are asked in a second, 2 or 10.
     """
 
     engine: str
@@ -181,6 +182,7 @@ class DriveSettings:
     window: WindowName | None = None
     windows: Windows | None = None
     windows_of: str | None = None
+    plan_hz: int = USUAL_HZ
 
     @property
     def processes(self) -> int:
@@ -205,6 +207,7 @@ class DriveSettings:
                 "agents_facts": {**describe_agents(self.maker), **on_track},
                 "window": self.window or "scene",
                 "windows_of": of,
+                "plan_hz": self.plan_hz,
             }
         )
 

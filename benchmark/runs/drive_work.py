@@ -31,7 +31,13 @@ from benchmark.records.search_trace import read_search_trace, write_search_trace
 from benchmark.runs.code_identity import code_sha256
 from benchmark.runs.drive_rows import build_episode_row, build_search_trace, compare_drive
 from benchmark.runs.drive_settings import CachedEpisode, ClosedLoopJob, EpisodeTask, EpisodeUnit
-from benchmark.runs.plan_rows import hash_sandboxed_code, measure_cost, run_with_restarts, seed_everything
+from benchmark.runs.plan_rows import (
+    end_session_after,
+    hash_sandboxed_code,
+    measure_cost,
+    run_with_restarts,
+    seed_everything,
+)
 from benchmark.runs.redriving import read_recorded_can, redrive_and_score, repeat_search
 from benchmark.runs.units import ResultStore
 from benchmark.scene import Scene
@@ -242,7 +248,8 @@ def _drive_missing(
 def _run_episodes(stages: Sequence[EpisodeSpec], planners: Sequence[Planner]) -> Iterable[tuple[int, Episode]]:
     """Drives by their places; of a planner elsewhere the only one, begun again where it went away half-way."""
     if len(planners) == 1:
-        return [(0, run_with_restarts(partial(run_episode, stages[0], planners[0]), planners[0]))]
+        with end_session_after(planners[0]):
+            return [(0, run_with_restarts(partial(run_episode, stages[0], planners[0]), planners[0]))]
     return run_episodes(stages, planners)
 
 
@@ -254,4 +261,14 @@ def _make_episode_spec(data: "DataSet", task: EpisodeTask, cans: dict[str, Recor
     if unit.scene not in cans:
         cans[unit.scene] = read_recorded_can(data, unit.scene)
     can = cans[unit.scene]
-    return EpisodeSpec(scene, can, unit.run, job.maker_of(unit), job.sensor, job.timeout_s, unit.family, meter=Meter())
+    return EpisodeSpec(
+        scene,
+        can,
+        unit.run,
+        job.maker_of(unit),
+        job.sensor,
+        job.timeout_s,
+        unit.family,
+        meter=Meter(),
+        plan_hz=job.measured.plan_hz,
+    )

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 
 from benchmark.closed_loop.adversary import ADVERSARY
+from benchmark.closed_loop.episodes import USUAL_HZ
 from benchmark.closed_loop.observation_builder import RemoteSensor
 from benchmark.closed_loop.planner_calls import LONGEST_TIMEOUT_S
 from benchmark.closed_loop.scoring import VERSION
@@ -29,12 +30,12 @@ from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.run_schema import PlannerFacts, TruthFacts
 from benchmark.records.search_trace import FOLDER as CONSIDERED
 from benchmark.report.words import pluralise
-from benchmark.runs.caveats import list_drive_caveats
+from benchmark.runs.caveats import list_camera_caveats, list_drive_caveats
 from benchmark.runs.drive_rows import mark_labelled
 from benchmark.runs.drive_settings import KEPT, ClosedLoopJob, EpisodeTask, EpisodeUnit
 from benchmark.runs.drive_settings import DriveSettings as DriveSettings
 from benchmark.runs.drive_work import EpisodeResult, PlannerPool, collect_costs, drive_tasks, drive_tasks_in_worker
-from benchmark.runs.judging import JudgedScenes, describe_data
+from benchmark.runs.judging import JudgedScenes, describe_data, describe_given_names
 from benchmark.runs.plan_rows import PlannerFactory, describe_sandbox_limits
 from benchmark.runs.planner_facts import build_planner_facts
 from benchmark.runs.run_directory import run_directory
@@ -78,13 +79,14 @@ def _config(of: ClosedLoopResults) -> dict[str, Any]:
         "seed": of.settings.seed,
         "timeout_s": of.settings.timeout_s,
         **describe_sandbox_limits(of.job.factory),
-        **({"categories": dict(of.data.categories)} if of.data.categories else {}),
+        **describe_given_names(of.data),
     }
 
 
 def _caveats(of: ClosedLoopResults) -> Any:
     compared = ComparedPlans.joined(result.compared for result in of.results)
-    door = getattr(of.job.factory, "caveats", ())
+    cameras = list_camera_caveats(of.job.planner, of.data, of.scenes)
+    door = (*getattr(of.job.factory, "caveats", ()), *cameras)
     return list_drive_caveats(of.job.planner, of.of_data["scene_facts"], of.rows, of.job.measured, compared, door)
 
 
@@ -321,7 +323,8 @@ def drives_directory(
     parts += [f"{measured.latency_ms}ms"] if measured.latency_ms else []
     parts += [] if measured.window == "scene" else [measured.window]
     parts += ["as", *measured.windows_of.values()] if measured.windows_of else []
-    parts += ["until-fault"] if measured.until == "fault" else []
+    parts += [f"{measured.plan_hz}hz"] if measured.plan_hz != USUAL_HZ else []
+    parts += measured.until_words
     parts += [
         content_key(facts)[:8]
         for facts in (measured.agents_facts, measured.sensor_facts, measured.scenario_facts)

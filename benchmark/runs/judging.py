@@ -83,6 +83,15 @@ def describe_data(of: JudgedScenes, *fields: str) -> dict[str, Any]:
     }
 
 
+def describe_given_names(data: "DataSet") -> dict[str, Any]:
+    """What a user said of a data set, for the record: names of categories, side of traffic; nothing where nothing."""
+    side = data.driving_side
+    return {
+        **({"categories": dict(data.categories)} if data.categories else {}),
+        **({"driving_side": side.value} if side else {}),
+    }
+
+
 LONGEST_JUDGED: Final = max(LONGER_HORIZON_STEPS.values())
 """Steps of a plan that anything is said about."""
 PLANNERS_AT_ONCE: Final = 10
@@ -214,10 +223,11 @@ def _find_disagreements(samples: PlannedSamples) -> Sequence[Any]:
 
 def _measure_severity(samples: PlannedSamples) -> Sequence[Any]:
     recorded = samples.scene.recorded
-    # With a map without roads or lanes the ego would be at fault in every lateral contact.
+    # With a map without roads or lanes the ego would be at fault in every lateral contact by nuPlan's rule.
     known = recorded is not None and recorded.road.drivable and recorded.road.lanes
     road = recorded.road if recorded is not None and known else None
-    return measure_plan_severities([truth.by_clock for truth in samples.truths], samples.in_lidar, road)
+    truths = [truth.by_clock for truth in samples.truths]
+    return measure_plan_severities(truths, samples.in_lidar, road, samples.scene.recording)
 
 
 def _judge_longer(samples: PlannedSamples) -> Sequence[Any]:

@@ -7,7 +7,7 @@ import sys
 import time
 import traceback
 from asyncio.exceptions import CancelledError
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -25,6 +25,7 @@ from benchmark.machine.progress import CountedUnits, track_progress
 from benchmark.machine.storage import content_key, content_seed
 from benchmark.planning import (
     Forecasts,
+    NoViewsError,
     Observation,
     Plan,
     Planner,
@@ -35,7 +36,9 @@ from benchmark.planning import (
     PlannerLostError,
     PrivilegedPlanner,
     RemotePlanner,
+    Ride,
     SceneInfo,
+    SessionPlanner,
     SupervisedPlanner,
     reads_message_after,
 )
@@ -76,6 +79,26 @@ FAILURES = (Exception, SystemExit, GeneratorExit, CancelledError)
 """Exceptions of planners that are caught: `sys.exit` in a planner must not end the run as if it had succeeded."""
 
 
+@contextlib.contextmanager
+def end_session_after(planner: Planner) -> Iterator[None]:
+    """Tell a planner with a session, whatever happens, that the scene is over."""
+    try:
+        yield
+    finally:
+        if isinstance(planner, SessionPlanner):
+            planner.end_session()
+
+
+def build_ride(scene: Scene, path: Floats, last: int, recorded_us: int | None = None, step_us: int = 500_000) -> Ride:
+    """The motion up to a frame of a scene, and the (P, 3) path of the recording.
+
+    The scene is as it was recorded, or driven since ``recorded_us``.
+    """
+    past, times_us = slice(last + 1), scene.timestamps_us
+    until = int(times_us[last]) if recorded_us is None else recorded_us
+    return Ride(times_us[past], scene.ego.position[past], scene.ego.rotation[past], path, until, step_us)
+
+
 class PlannerFactory(Protocol):
     """Builds the same planner in any process. Must be picklable.
 
@@ -111,7 +134,7 @@ class BrokenImageError(InputError):
     """An image of the data set cannot be read: the data's fault, not the planner's."""
 
 
-_RUN_ENDING_ERRORS = (BrokenImageError, PlannerGoneError, PlannerLateError)
+_RUN_ENDING_ERRORS = (BrokenImageError, NoViewsError, PlannerGoneError, PlannerLateError)
 """Exceptions that end a command instead of being recorded: the same command resumes."""
 
 
@@ -169,7 +192,7 @@ def plan_scene(
     scene, observations = source.scene(name), list(source.observations(name))
     meter, started = Meter(), time.perf_counter()
     # Stdout belongs to the command (--json); what a planner prints goes to stderr.
-    with contextlib.redirect_stdout(sys.stderr):
+    with contextlib.redirect_stdout(sys.stderr), end_session_after(planner):
         rows, lost = run_with_restarts(partial(_rows, planner, scene, observations, meter), planner)
     cost = measure_cost(planner, meter, time.perf_counter() - started)
     if not lost:
@@ -215,7 +238,7 @@ def _rows(
     except FAILURES as failure:
         error = format_failure(failure)
         return [_row(observation, None, error) for observation in observations], isinstance(failure, PlannerLostError)
-    asker = _PlannerInScene(planner, meter)
+    asker = _PlannerInScene(planner, meter, scene)
     planned = track_progress(
         map(asker.row, observations), total=len(observations), label=scene.name, count=CountedUnits("sample")
     )
@@ -228,6 +251,7 @@ class _PlannerInScene:
 
     planner: Planner
     meter: Meter
+    scene: Scene
     lost: str | None = None
 
     def row(self, observation: Observation) -> dict[str, Any]:
@@ -239,13 +263,18 @@ class _PlannerInScene:
         ego = observation.ego if reads_message_after(planner) else replace(observation.ego, can_motion_after=None)
         try:
             observed = replace(observation, views=views, ego=ego)
+            if isinstance(planner, SessionPlanner):
+                last = int(self.scene.keyframes[observation.index])
+                planner.take_ride(build_ride(self.scene, self.scene.ego.position, last))
             with self.meter.call():
                 plan = planner.plan(observed)
             if not isinstance(plan, Plan):
                 raise TypeError(
                     f"{planner.name} returned {type(plan).__name__}; a planner must return benchmark.planning.Plan"
                 )
-            return _row(observation, encode_plan(plan), None)
+            row = _row(observation, encode_plan(plan), None)
+            note = planner.take_note().text if isinstance(planner, SessionPlanner) else ""
+            return {**row, "note": note} if note else row
         except _RUN_ENDING_ERRORS:
             raise
         except FAILURES as failure:

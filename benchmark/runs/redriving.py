@@ -13,7 +13,7 @@ from benchmark.closed_loop.scoring import score_episode
 from benchmark.closed_loop.simulation_state import RecordedCan, SimulatorBackend
 from benchmark.errors import InputError
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
-from benchmark.records.drive_schema import AdversaryRow, EpisodeRow
+from benchmark.records.drive_schema import AdversaryRow, EpisodeRow, ScoredContact
 from benchmark.runs.drive_rows import DECIMALS, build_episode_row, decode_adversary_track, encode_adversary_track
 from benchmark.scene import Scene
 
@@ -41,10 +41,16 @@ def redrive_and_score(maker: SimulatorBackend, scene: Scene, data: "DataSet", ro
     rescored_row = build_episode_row(
         stage, episode, None if episode.failure is not None else score_episode(scene, episode)
     )
-    rescored_row = rescored_row.model_copy(update={"ladder": row.ladder})
-    if (rescored_row.ticks, rescored_row.contact, rescored_row.passed) != (row.ticks, row.contact, row.passed):
+    kept = {"ladder": row.ladder, "notes": row.notes, "terminated": row.terminated}
+    rescored_row = rescored_row.model_copy(update=kept)
+    if (rescored_row.ticks, _without_fault(rescored_row)) != (row.ticks, _without_fault(row)):
         raise InputError(_format_mismatch(row))
     return rescored_row
+
+
+def _without_fault(row: EpisodeRow) -> list[ScoredContact]:
+    """Contacts as they happened: whose fault they are is scored anew."""
+    return [replace(touch, fault=None) for touch in row.touches]
 
 
 def _make_episode_spec(
@@ -90,6 +96,10 @@ def repeat_search(maker: SimulatorBackend, scene: Scene, data: "DataSet", row: E
 
 def redrive(stage: EpisodeSpec, row: EpisodeRow, plans: "StoredPlans") -> Episode:
     """Drive stored plans on a stage; arguments and errors as of `redrive_with_sensor`."""
+    if row.between:
+        stage = replace(stage, plan_hz=10)
+    if row.terminated:
+        stage = replace(stage, most_plans=len(row.plans))
     episode = run_episode(stage, plans)
     ticks = episode.motion.ticks
     states = np.round(episode.motion.ego[ticks], DECIMALS).tolist()
@@ -111,7 +121,9 @@ class StoredPlans:
     name = "stored plans"
 
     def __init__(self, row: EpisodeRow) -> None:
-        self._plans = [Plan(np.array(plan.waypoints, np.float64), PlanFrame(plan.frame)) for plan in row.plans]
+        between = [*row.between, *[[]] * len(row.plans)]
+        stored = [plan for first, others in zip(row.plans, between) for plan in (first, *others)]
+        self._plans = [Plan(np.array(plan.waypoints, np.float64), PlanFrame(plan.frame)) for plan in stored]
         self._next = 0
 
     def reset(self, scene: SceneInfo) -> None:

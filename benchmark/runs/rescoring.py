@@ -15,6 +15,7 @@ from benchmark.datasets.scene_facts import add_truth_facts
 from benchmark.errors import InputError
 from benchmark.machine.environment import read_machine_metadata as environment_facts
 from benchmark.machine.storage import lock_folder
+from benchmark.machine.workspace import hint_at_earlier_town, strip_version
 from benchmark.pdm.definition import PDM
 from benchmark.protocols import PROTOCOLS, find_category_protocols, find_protocol
 from benchmark.records.review import describe_review
@@ -23,6 +24,7 @@ from benchmark.records.rows import SampleRows
 from benchmark.records.run import RunRecord, load_record, summarise_rows, write_record
 from benchmark.records.run_schema import SCHEMA, RecordFacts, SceneFacts, TruthFacts
 from benchmark.records.store import RUN_FILE, finish_replacement, pending_path, stored_schema
+from benchmark.road_map import Handedness
 from benchmark.runs.caveats import list_run_caveats
 from benchmark.runs.judging import judge_plans
 from benchmark.runs.scene_reading import SceneReading
@@ -47,7 +49,7 @@ def require_vocabulary(counts: AnnotationCount, asked: Iterable[str], protocols:
         )
 
 
-_OF_THE_PLAN = {"scene", "sample_token", "index", "timestamp_us", "status", "ego_motion", "plan", "error"}
+_OF_THE_PLAN = {"scene", "sample_token", "index", "timestamp_us", "status", "ego_motion", "plan", "error", "note"}
 """Fields of a row about the planner, which rescoring keeps."""
 _OF_THE_VERDICTS = {"schema_version", "status", "protocols", "seed", "files"}
 """Fields of a record that are set when it is written."""
@@ -113,7 +115,7 @@ def rescore_all(
     opened: OpenedDataSets = {}
 
     def open_for(record: RunRecord) -> "DataSet | None":
-        return None if record.run.data.name != data_name else open_as_recorded(record.run, opened, open_split)
+        return open_if_recorded_on(data_name, record.run, opened, open_split)
 
     results: dict[Path, RescoringResult] = {}
     waiting: list[_OpenedRecord] = []
@@ -133,19 +135,30 @@ def rescore_all(
     yield from (results[directory] for directory in sorted(results))
 
 
-OpenedDataSets = dict[tuple[str, CategoryNames], "DataSet"]
-"""Data sets by split, and by names of categories that are replaced in them."""
+OpenedDataSets = dict[tuple[str, CategoryNames, str], "DataSet"]
+"""Data sets by split, and by what records say of them: names of categories that are replaced, side of traffic."""
 
 
 def open_as_recorded(facts: RecordFacts, opened: OpenedDataSets, open_split: Callable[[str], "DataSet"]) -> "DataSet":
-    """The data set that a record ran on, with the category names replaced then; ``opened`` has the open ones."""
-    names = read_replaced_categories(facts)
-    as_it_is = (facts.split, ())
+    """The data set that a record ran on, with what was said of it then; ``opened`` has the open ones."""
+    names, side = read_replaced_categories(facts), str(facts.config.get("driving_side", ""))
+    as_it_is, key = (facts.split, (), ""), (facts.split, names, side)
     if as_it_is not in opened:
         opened[as_it_is] = open_split(facts.split)
-    if (facts.split, names) not in opened:
-        opened[facts.split, names] = opened[as_it_is].with_categories(names)
-    return opened[facts.split, names]
+    if key not in opened:
+        named = opened[as_it_is].with_categories(names)
+        opened[key] = named.with_driving_side(Handedness(side)) if side in [*Handedness] else named
+    return opened[key]
+
+
+def open_if_recorded_on(
+    data_name: str, facts: RecordFacts, opened: OpenedDataSets, open_split: Callable[[str], "DataSet"]
+) -> "DataSet | None":
+    """The data set that a record ran on, if it is that of a name, or an earlier town that was called ``mini`` then."""
+    if facts.data.name not in (data_name, strip_version(data_name)):
+        return None
+    data = open_as_recorded(facts, opened, open_split)
+    return data if facts.data.name == data_name or facts.data.fingerprint == data.fingerprint() else None
 
 
 def read_replaced_categories(facts: RecordFacts) -> CategoryNames:
@@ -297,7 +310,8 @@ def require_same_data(directory: Path, facts: RecordFacts, data: "DataSet", *, a
     if facts.data.fingerprint != data.fingerprint():
         raise InputError(
             f"{directory} used other data of {facts.data.name} than {data.root} now holds (the "
-            f"fingerprints differ); open the data set that it ran on with --data, or run challenger-bench {again} again"
+            f"fingerprints differ{hint_at_earlier_town(facts.data.name)}); open the data set that it ran on with "
+            f"--data, or run challenger-bench {again} again"
         )
     review = data.review(facts.split).facts
     if (None if facts.review is None else facts.review.content) != (None if review is None else review.content):

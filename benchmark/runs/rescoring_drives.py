@@ -19,7 +19,7 @@ from benchmark.runs.redriving import redrive_and_score
 from benchmark.runs.rescoring import (
     OpenedDataSets,
     RescoringResult,
-    open_as_recorded,
+    open_if_recorded_on,
     read_current_scene_facts,
     require_same_data,
 )
@@ -70,9 +70,7 @@ def rescore_all_drives(root: Path, open_split: Callable[[str], "DataSet"], data_
     opened: OpenedDataSets = {}
 
     def open_for(record: DriveRecord) -> "DataSet | None":
-        if record.facts.data.name != data_name:
-            return None
-        return open_as_recorded(record.facts, opened, open_split)
+        return open_if_recorded_on(data_name, record.facts, opened, open_split)
 
     names = (DRIVE_FILE, pending_path(Path(), DRIVE_FILE).name)
     for directory in sorted({path.parent for name in names for path in root.rglob(name)}):

@@ -58,6 +58,11 @@ class SceneReading:
         return read_sample_contexts(self._data.scene(self.name))
 
     @cached_property
+    def recording(self) -> Scene | None:
+        """The scene, whether it has a map or not."""
+        return self._data.scene(self.name)
+
+    @cached_property
     def mapped(self) -> Scene | None:
         """The scene for driving scores; ``None`` where the data set has no map of its place."""
         return self._data.scene(self.name) if self._data.has_map(self.name) else None

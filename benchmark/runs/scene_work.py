@@ -21,6 +21,7 @@ from benchmark.runs.scene_reading import SceneReading
 if TYPE_CHECKING:
     from benchmark.datasets.categories import CategoryNames
     from benchmark.datasets.roots import DataSet
+    from benchmark.road_map import Handedness
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,14 +105,14 @@ def evaluate_scene_in_worker(
 
 def make_reopener(data: "DataSet") -> Callable[[], "DataSet"]:
     """Opener of a data set in a worker process."""
-    return partial(_reopen, data.root, data.version, data.name, data.categories)
+    return partial(_reopen, data.root, data.version, data.name, data.categories, data.driving_side)
 
 
-def _reopen(root: Path, version: str, name: str, categories: "CategoryNames") -> "DataSet":
+def _reopen(root: Path, version: str, name: str, categories: "CategoryNames", side: "Handedness | None") -> "DataSet":
     # The devkit behind it takes seconds to import.
     from benchmark.datasets.roots import open_data
 
-    return open_data(root, version=version, name=name, categories=dict(categories))
+    return open_data(root, version=version, name=name, categories=dict(categories)).with_driving_side(side)
 
 
 def sort_as_published(data: "DataSet", scenes: Sequence[str]) -> tuple[str, ...]:

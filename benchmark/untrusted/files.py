@@ -104,6 +104,10 @@ HTTP_ANSWER: Final = Limits("answer over HTTP", 64 * MIB, depth=8, values=4_000_
 """Plans with objects, forecasts and, of some models, a view from above; or a renderer's actors and pictures."""
 HTTP_PICTURE: Final = Limits("picture over HTTP", 48 * MIB, values=16_000_000)
 """Values are pixels; six of them are in memory together."""
+GRPC_MESSAGE: Final = Limits("message over gRPC", 4 * MIB, depth=16, values=100_000)
+"""Of a simulator or a policy: 8 s of poses every 0.01 s, six times, have 60,000 fields."""
+GRPC_PICTURE: Final = replace(GRPC_MESSAGE, what="message with a picture", file_bytes=16 * MIB)
+"""A PNG of 1600 x 900 has 2 to 4 MB."""
 RECORDING_S: Final = 3600.0
 """Seconds of one imported recording, for any step."""
 RECORDED_OBJECTS: Final = 5000

@@ -19,6 +19,19 @@ from benchmark.errors import InputError
 from benchmark.untrusted.files import HTTP_PICTURE, PICTURE, Limits, format_bytes, open_file, to_one_line
 
 _FORMATS = ("JPEG", "PNG", "WEBP")
+PICTURE_FORMATS: Final = ("jpeg", "png")
+"""In which pictures are sent as files."""
+_JPEG_QUALITY: Final = 95
+
+
+def encode_picture(pixels: NDArray[np.uint8], form: str) -> bytes:
+    """(height, width, 3) RGB as a file, ``png`` or ``jpeg``."""
+    from PIL import Image
+
+    stream = io.BytesIO()
+    options = {"compress_level": 1} if form == "png" else {"quality": _JPEG_QUALITY}
+    Image.fromarray(pixels).save(stream, format=form, **options)
+    return stream.getvalue()
 
 
 def read_picture(path: Path, limits: Limits = PICTURE) -> NDArray[np.uint8]:

@@ -11,6 +11,7 @@ import re
 import types
 import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin
 
@@ -274,6 +275,8 @@ def _type_words(annotation: Any) -> str:
         return _type_words(parts[0])
     if _is_model(annotation):
         return _link(annotation)
+    if isinstance(annotation, type) and issubclass(annotation, StrEnum):
+        parts, origin = tuple(annotation), Literal
     if origin is Literal:
         return ", ".join(f"`{part}`" if part != "" else "empty" for part in parts)
     if origin in (Union, types.UnionType):

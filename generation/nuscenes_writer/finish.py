@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from benchmark.constants import NUSCENES_TABLES
+from benchmark.constants import CAMERA_NAMES, NUSCENES_TABLES
+from benchmark.datasets.categories import NAMES_FILE, SENSOR
 from benchmark.datasets.scene_assessments import ASSESSMENTS_FILE
 from benchmark.datasets.scene_names import NAME, PROVENANCE, SHIFT_US
 from benchmark.datasets.split_reviews import LEFT_OUT
@@ -139,7 +140,8 @@ def _remove_root(plan: DataSetPlan, root: Path) -> None:
     with writing_to(root):
         for table in (*NUSCENES_TABLES, "splits"):
             (root / plan.version / f"{table}.json").unlink(missing_ok=True)
-        (root / plan.version / ASSESSMENTS_FILE).unlink(missing_ok=True)
+        for name in (ASSESSMENTS_FILE, NAMES_FILE):
+            (root / plan.version / name).unlink(missing_ok=True)
         shutil.rmtree(root / "maps", ignore_errors=True)
         shutil.rmtree(plan.drawn_path(root), ignore_errors=True)
         folders = [root / plan.version, *(root / kind for kind in ("samples", "sweeps", "can_bus")), root]
@@ -178,6 +180,12 @@ def _write_root(
     rows = {fragment["name"]: _find_row_name(fragment) for fragment in members}
     present = {split: [rows[name] for name in names if name in rows] for split, names in splits.items()}
     write_json(folder / "splits.json", present)
+    views = channels.intersection(CAMERA_NAMES)
+    if plan.source is not None and views and any(name.startswith(SENSOR) for name, _ in plan.source.names):
+        # Records of the split say of its rig what those of the source say.
+        write_json(folder / NAMES_FILE, {"cameras": "nuscenes"})
+    else:
+        (folder / NAMES_FILE).unlink(missing_ok=True)
 
 
 def _place_files(root: Path, members: Sequence[Fragment]) -> None:

@@ -1,5 +1,6 @@
 """The map files of a finished root, rasters for mask and background too: the source's, else made from road maps."""
 
+import json
 import os
 import struct
 import zlib
@@ -14,7 +15,8 @@ from numpy.typing import NDArray
 from shapely.geometry import Polygon
 
 from benchmark.constants import OFFICIAL_LOCATIONS
-from benchmark.datasets.map_layers import make_empty_expansion
+from benchmark.datasets.categories import LAYER
+from benchmark.datasets.map_layers import make_empty_expansion, rename_layers
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, make_token, read_cached_json, read_json, write_bytes, write_json
 from benchmark.road_map import RoadMap, as_multipolygon
@@ -187,6 +189,7 @@ def _build_empty_map(location: str) -> RoadMap:
 
 def _copy_source_maps(plan: DataSetPlan, root: Path) -> frozenset[str]:
     """Copy the source's ``maps`` folder whole; the paths below the root that came from there."""
+    names = () if plan.source is None else tuple(pair for pair in plan.source.names if pair[0].startswith(LAYER))
     source = None if plan.source is None or plan.source.root is None else plan.source.root / "maps"
     if source is None or not source.is_dir():
         return frozenset()
@@ -198,6 +201,8 @@ def _copy_source_maps(plan: DataSetPlan, root: Path) -> frozenset[str]:
             data = path.read_bytes()
         except OSError as error:
             raise InputError(f"cannot read {path}: {error.strerror or error}; the new data set needs it") from error
+        if names and path.parent.name == "expansion" and path.suffix == ".json":
+            data = json.dumps(rename_layers(read_json(path), names)).encode()
         if not target.is_file() or target.read_bytes() != data:
             write_bytes(target, data)
         copied.add(relative)

@@ -5,14 +5,17 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, Self
 
 import numpy as np
 import shapely
 
 from benchmark.constants import NUSCENES_TABLES
+from benchmark.datasets.categories import CategoryNames
+from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, make_token
+from benchmark.machine.workspace import strip_version
 from benchmark.records.review import StandingVerdict
 from benchmark.runs.units import ResultStore
 from benchmark.scene import Camera, Scene
@@ -32,13 +35,20 @@ _PLAIN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
 class SourceInfo:
     """The data set that another one derives from: maps, CAN bus files and label tokens come from its ``root``.
 
-    ``version`` may stay ``None`` where the root has only one.
+    ``version`` may stay ``None`` where the root has only one; ``names`` are those that were replaced in it.
     """
 
     name: str
     fingerprint: str
     root: Path | None = None
     version: str | None = None
+    names: CategoryNames = ()
+
+    @classmethod
+    def of(cls, source: DataSet) -> Self:
+        """A data set, of an earlier town by the name that it had: what is made from it stays the same to the byte."""
+        name = strip_version(source.name)
+        return cls(name, source.fingerprint(), source.root, source.version, source.categories)
 
 
 @dataclass(frozen=True, slots=True)

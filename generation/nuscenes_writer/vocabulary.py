@@ -1,6 +1,6 @@
 """Categories, attributes, visibility levels, logs and sensors: the rows that scenes share."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -84,7 +84,7 @@ class LabelVocabulary:
         return cls(
             category=_number_categories({row["name"]: row for row in tables["category"]}),
             attribute={row["name"]: row for row in tables["attribute"] or _build_rows("attribute", _ATTRIBUTE_WORDS)},
-            visibility=tuple(tables["visibility"] or _build_visibility_rows()),
+            visibility=_complete_visibility(tables["visibility"]),
             log=tuple(tables["log"]),
             map=tuple(tables["map"]),
         )
@@ -145,6 +145,13 @@ def _build_visibility_rows() -> list[Row]:
         {"token": str(number), "level": level, "description": f"{low} to {high} % of the object can be seen"}
         for number, (level, (low, high)) in enumerate(zip(_VISIBILITY_LEVELS, bounds), start=1)
     ]
+
+
+def _complete_visibility(own: Sequence[Row]) -> tuple[Row, ...]:
+    """Rows of a data set and of those levels of nuScenes that it lacks."""
+    levels, tokens = {row.get("level") for row in own}, {row["token"] for row in own}
+    missing = [row for row in _build_visibility_rows() if row["level"] not in levels]
+    return (*own, *({**row, "token": make_token(row)} if row["token"] in tokens else row for row in missing))
 
 
 def _find_table_folder(source: SourceInfo | None) -> Path | None:

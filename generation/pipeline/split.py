@@ -217,7 +217,7 @@ def _build_plan(source: DataSet, split: str, settings: BuildSettings) -> DataSet
         frames=settings.frames,
         jpeg_quality=settings.jpeg_quality,
         lossless=settings.lossless,
-        source=SourceInfo(name=source.name, fingerprint=source.fingerprint(), root=source.root, version=source.version),
+        source=SourceInfo.of(source),
     )
 
 

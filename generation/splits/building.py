@@ -23,7 +23,7 @@ from generation.pipeline.writing import WritingJob, WrittenScenes, publish, publ
 from generation.search.adversary import ALGORITHM_VERSION
 from generation.search.verify import count_masked_steps, format_masked_steps, sum_masked_steps
 from generation.splits.format import EDITED, FrozenScene, ImageMetadata
-from generation.splits.packaged import NamedSplit, compute_search_hash, require_seed
+from generation.splits.packaged import NamedSplit, compute_search_hash, require_seed, require_town
 from generation.splits.tracks import (
     add_frozen_adversaries,
     build_scene_report,
@@ -192,6 +192,7 @@ def require_rebuildable(
 ) -> tuple[DataSetPlan, list[tuple[FrozenScene, int]], FrozenBuildReport]:
     """Refuse as `build_frozen`; gives the data set to write, scenes with numbers of their variants, and the report."""
     require_seed(as_split, split.frozen.search.seed, f"frozen split {split.name}")
+    require_town(split, source.name)
     chosen = split.chosen(settings.scenes, settings.limit)
     content = split.frozen.content_id
     recorded = sorted({frozen.source for frozen, _ in chosen})
@@ -265,7 +266,7 @@ def _build_plan(source: DataSet, split: NamedSplit, as_split: str, settings: Bui
         frames=settings.frames,
         jpeg_quality=settings.jpeg_quality,
         lossless=settings.lossless,
-        source=SourceInfo(name=source.name, fingerprint=source.fingerprint(), root=source.root, version=source.version),
+        source=SourceInfo.of(source),
         frozen=(name, content),
         search=compute_search_hash(frozen.search, frozen.chosen, adversaries) if of_seed else None,
         left_out=tuple(

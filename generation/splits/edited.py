@@ -67,11 +67,7 @@ def build_edited_split(source: DataSet, path: Path, edited: EditedScenes | None 
             vehicles does: the ego, times, objects that are missing or new, sizes, or a vehicle that is not there to the
             end.
     """
-    plan = DataSetPlan(
-        root=Path(),
-        split="adv",
-        source=SourceInfo(source.name, source.fingerprint(), source.root, source.version),
-    )
+    plan = DataSetPlan(root=Path(), split="adv", source=SourceInfo.of(source))
     scenes: dict[str, FrozenScene] = {}
     times: dict[str, tuple[int, int]] = {}
     files = read_edited(path) if edited is None else edited

@@ -8,7 +8,9 @@ from typing import Any, Final
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key
+from benchmark.machine.workspace import read_embedded_version, strip_version
 from benchmark.records.seed_splits import format_seed_split, parse_seed
+from generation.sources.embedded import find_version, format_town
 from generation.splits.format import FrozenScene, FrozenSplit, SceneChoice, SearchMetadata, read_frozen
 
 _FOLDER: Final = Path(__file__).parent
@@ -65,11 +67,13 @@ def list_packaged_splits(data: str = "", split: str = "adv") -> tuple[str, ...]:
 
 
 def read_newest_split(data: str, split: str = "adv") -> NamedSplit:
-    """The newest frozen split of a data set that comes with the package."""
-    names = list_packaged_splits(data, split)
-    if not names:
-        raise InputError(f"no frozen split {split} of {data} is packaged; run challenger-bench generate")
-    return read_frozen_split(names[-1])
+    """The newest frozen split of a data set that comes with the package; of ``mini@1`` that of the first town."""
+    version = read_embedded_version(data)
+    for name in reversed(list_packaged_splits(strip_version(data), split)):
+        named = read_frozen_split(name)
+        if version is None or _find_town(named) in (None, version):
+            return named
+    raise InputError(f"no frozen split {split} of {data} is packaged; run challenger-bench generate")
 
 
 def read_frozen_split(file: str | Path) -> NamedSplit:
@@ -93,6 +97,22 @@ def read_frozen_split(file: str | Path) -> NamedSplit:
             f"{', '.join(list_packaged_splits()) or 'none'}"
         )
     return NamedSplit(path.stem, read_frozen(path), path)
+
+
+def require_town(named: NamedSplit, data: str) -> None:
+    """Refuse a frozen split of another version of the embedded town than ``--data`` names."""
+    made_from, given = _find_town(named), read_embedded_version(data)
+    if made_from is not None and given is not None and made_from != given:
+        right = format_town(made_from)
+        raise InputError(
+            f"frozen split {named.name} was made from another embedded town than {data}; give --data {right}"
+        )
+
+
+def _find_town(named: NamedSplit) -> int | None:
+    recordings = named.frozen.recordings
+    is_packaged = named.path is None and named.name in list_packaged_splits()
+    return find_version(recordings.name, recordings.fingerprint, packaged=is_packaged)
 
 
 def compute_search_hash(search: SearchMetadata, chosen: SceneChoice, adversaries: int) -> str:

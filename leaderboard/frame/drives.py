@@ -88,7 +88,7 @@ class ComparableDrives:
         few = len({known[name].source if name in known else name for name in first.scenes}) < FEW_SCENES
         stale = [
             f"{STALE_MARK} {row.name}: scored by version {row.record.facts.scoring} of the closed-loop scores, not the "
-            "present one; run the same challenger-bench drive again."
+            "present one; challenger-bench rescore with the data set scores them anew."
             for row in self.rows
             if is_stale(row.record)
         ]
@@ -170,7 +170,8 @@ def _name_groups(groups: Sequence[ComparableDrives]) -> list[ComparableDrives]:
         words += [f"{measured.latency_ms}ms"] if measured.latency_ms else []
         words += [] if measured.window == "scene" else [measured.window]
         words += ["as", measured.windows_of["split"]] if measured.windows_of else []
-        words += ["until-fault"] if measured.until == "fault" else []
+        words += [f"{measured.plan_hz}hz"] if measured.plan_hz != 2 else []
+        words += measured.until_words
         words += [group.sensor] if group.sensor != NO_SENSOR else []
         words += ["part"] if part else []
         name = "-".join(words)

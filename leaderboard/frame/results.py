@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from benchmark.errors import InputError
 from benchmark.records.ablation import AblationReport
@@ -16,7 +17,10 @@ from leaderboard.results import select_runs
 
 @dataclass(frozen=True, slots=True)
 class LeaderboardResults:
-    """Results that a leaderboard is made from; `frames` have at most one run for each planner and split."""
+    """Results that a leaderboard is made from; `frames` have at most one run for each planner and split.
+
+    `abilities` are an extension's, whose ``list_scene_facts`` has a term and words for pages of scenes.
+    """
 
     frames: tuple[DataSetRuns, ...]
     drives: Sequence[DriveRecord] = ()
@@ -24,6 +28,7 @@ class LeaderboardResults:
     sheets: ScenePages = field(default_factory=lambda: NO_SCENE_PAGES)
     ablations: Sequence[AblationReport] = ()
     challenges: Sequence[ChallengeScores] = ()
+    abilities: Sequence[Any] = ()
 
     @property
     def runs(self) -> list[RunRecord]:
@@ -51,8 +56,9 @@ def read_results(
     ablations: Sequence[AblationReport] = (),
     drives: Sequence[DriveRecord] = (),
     challenges: Sequence[ChallengeScores] = (),
+    abilities: Sequence[Any] = (),
 ) -> LeaderboardResults:
     """Results of records of every kind; run records may be missing only if there is anything else."""
     others = bool(quality or sheets.splits or ablations or drives or challenges)
     frames = build_frames(records) if records or not others else ()
-    return LeaderboardResults(frames, drives, quality, sheets, ablations, challenges)
+    return LeaderboardResults(frames, drives, quality, sheets, ablations, challenges, abilities)

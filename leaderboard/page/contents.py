@@ -84,7 +84,9 @@ def closed_loop_sections(results: LeaderboardResults) -> Iterator[Section]:
 
 def extension_sections(results: LeaderboardResults) -> Iterator[Section]:
     """Sections that extensions make of records of their own."""
-    return build_extension_sections({"challenges": results.challenges, "quality": results.quality})
+    return build_extension_sections(
+        {"abilities": results.abilities, "challenges": results.challenges, "quality": results.quality}
+    )
 
 
 def paper_sections(results: LeaderboardResults) -> Iterator[Section]:

@@ -31,6 +31,7 @@ from benchmark.records.scene_pages import PageAgent, ScenePage, ScenePages
 from benchmark.records.search_trace import SearchTraceFrame, read_search_trace
 from benchmark.report.cells import format_number
 from benchmark.report.episode_page import list_strip_steps, list_touches, mark_from_departure
+from benchmark.report.fault_words import describe_fault
 from benchmark.report.overlays import find_shared_point, rank_candidates
 from benchmark.report.placement import agent_box, agent_box_at, ego_box, ego_pose, frame_seconds, place_waypoints
 from leaderboard.frame.drives import group_comparable_drives
@@ -121,12 +122,11 @@ def _describe_outcome(named_drive: _NamedDrive, sheets: ScenePages) -> str:
         return "no contact"
     contact = row.contact
     whom = f"{contact.category}{', the adversary' if contact.adversary else ''}"
-    fault = "at fault" if contact.at_fault else "not at fault"
     when = f"after {format_number(contact.seconds, 1)} s of driving"
     if _has_scene_page(named_drive, sheets):
         ticks = _seconds_of_ticks(row, sheets.scenes[named_drive.scene].sheet)
         when = f"at {format_number(float(ticks[row.primed - 1]) + contact.seconds, 1)} s"
-    return f"contact {when} with {whom}, {fault}"
+    return f"contact {when} with {whom}, {describe_fault(contact)}"
 
 
 def _seconds_of_ticks(row: EpisodeRow, sheet: ScenePage) -> Floats:
@@ -247,7 +247,7 @@ def _build_strip(row: EpisodeRow, begins_s: float, end_s: float) -> list[list[st
         [
             "touch cp-touch-adversary" if adversary else "touch",
             f"left:{min(100 * seconds / end_s, 100):.2f}%",
-            f"touches {words} at {format_number(seconds, 1)} s",
+            f"at {format_number(seconds, 1)} s touches {words}",
             f"{words} ✕",
         ]
         for seconds, words, adversary in list_touches(row, begins_s)

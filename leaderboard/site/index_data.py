@@ -247,7 +247,9 @@ def _attempt_entries(sheets: ScenePages) -> list[dict[str, Any]]:
 
 LISTS: Final[dict[str, Callable[[LeaderboardResults, frozenset[str]], list[dict[str, Any]]]]] = {
     "models": lambda results, _: build_model_index(results.runs),
-    "scenes": lambda results, written: build_scene_index(results.runs, results.sheets, results.quality, written),
+    "scenes": lambda results, written: build_scene_index(
+        results.runs, results.sheets, results.quality, written, results.abilities
+    ),
     "attempts": lambda results, _: _attempt_entries(results.sheets),
     "drives": lambda results, _: build_drive_index(results.drives, results.sheets),
 }

@@ -18,6 +18,7 @@ from benchmark.records.row_schema import BriefRow
 from benchmark.records.run import RunRecord
 from benchmark.records.scene_assessment import AssessmentSummary
 from benchmark.records.scene_pages import ScenePage, ScenePages
+from benchmark.report.fault_words import describe_fault
 from benchmark.report.words import format_split
 from leaderboard.frame.rows import split_sort_key
 
@@ -30,7 +31,8 @@ _MICROSECONDS: Final = 1e6
 class SceneSeverity:
     """Severity of a planner's plans on one scene: `contacts` with an adversary (with anything without one) and others.
 
-    Verdicts are on the scene; `kind` to `fatal` are of the most severe contact, `ttc` and `gap` the least without one.
+    Verdicts are on the scene; `kind` to `fatal` and `fault`, in words, are of the most severe contact, `ttc` and `gap`
+    the least without one.
     """
 
     contacts: int
@@ -43,6 +45,7 @@ class SceneSeverity:
     fatal: float | None
     ttc: float | None
     gap: float | None
+    fault: str | None = None
 
 
 @dataclass(slots=True)
@@ -203,4 +206,5 @@ def _measure_severity(rows: Sequence[BriefRow], attack: SceneAttack, adversarial
         fatal=None if worst is None else worst.fatal_probability,
         ttc=min((item.least_ttc_s for item in near if item.least_ttc_s is not None), default=None),
         gap=min((item.least_gap_m for item in near), default=None),
+        fault=None if worst is None else describe_fault(worst),
     )

@@ -26,7 +26,11 @@ from leaderboard.site.table_entries import sort_protocols, table_entry
 
 
 def build_scene_index(
-    records: Sequence[RunRecord], sheets: ScenePages, quality: Sequence[QualityRecord], written: frozenset[str]
+    records: Sequence[RunRecord],
+    sheets: ScenePages,
+    quality: Sequence[QualityRecord],
+    written: frozenset[str],
+    abilities: Sequence[Any] = (),
 ) -> list[dict[str, Any]]:
     """One entry for each scene of a record or sheet, by data set, split (the paper's three first) and name.
 
@@ -34,6 +38,7 @@ def build_scene_index(
     ``facts`` and ``tables``, belongs in the scene's script.
     """
     qualities = _group_quality(quality)
+    further = [ability.list_scene_facts() for ability in abilities]
     summaries = summarise_scenes(records, sheets)
     planners = {record.planner: record.run.planner for record in sort_for_tables(records)}
     protocols = sort_protocols(protocol for record in records for protocol in record.summary.protocols)
@@ -49,7 +54,10 @@ def build_scene_index(
         siblings = [each for each in by_source[entry["data"], entry["source"]] if each is not entry]
         tables = verdict_table(summary, planners, protocols), severity_table(summary, planners)
         entry["page"] = {
-            "facts": build_facts(entry, summary.judgement, siblings),
+            "facts": [
+                *build_facts(entry, summary.judgement, siblings),
+                *([of[name][0], [[of[name][1]]]] for of in further if name in of),
+            ],
             "tables": [table_entry(table, table.name) for table in tables if table is not None],
         }
     for entry in entries.values():

@@ -255,24 +255,25 @@ def verdict_table(scene: SceneSummary, planners: Mapping[str, PlannerFacts], pro
 def severity_table(scene: SceneSummary, planners: Mapping[str, PlannerFacts]) -> Table | None:
     """How severe the plans of each planner are on one scene."""
     others = ["with others"] if scene.adversarial else []
-    heads = ["contacts", "at fault", "attributable", *others, "kind", *_WORST, *_NEAR]
+    heads = ["contacts", "at fault", "attributable", *others, "whose fault", "kind", *_WORST, *_NEAR]
     rows: dict[str, Values] = {}
     for name, of in scene.severity.items():
         fatal = None if of.fatal is None else 100 * of.fatal
         amounts = ((of.speed, 1), (of.delta_v, 1), (fatal, 2), (of.ttc, 2), (of.gap, 2))
         verdicts = [{None: UNDEFINED, True: "yes", False: "no"}[said] for said in (of.at_fault, of.attributable)]
-        cells = [str(of.contacts), *verdicts, *[_format_count(of.bystanders)][: len(others)], of.kind or UNDEFINED]
+        cells = [str(of.contacts), *verdicts, *[_format_count(of.bystanders)][: len(others)], of.fault or UNDEFINED]
+        cells += [of.kind or UNDEFINED]
         rows[name] = dict(zip(heads, [*cells, *(format_number(*amount) for amount in amounts)], strict=True))
     columns = [
         *group_columns("attack", number_columns("contacts", "at fault", "attributable", *others)),
-        *group_columns("most severe contact", number_columns("kind", *_WORST)),
+        *group_columns("most severe contact", text_columns("whose fault"), number_columns("kind", *_WORST)),
         *group_columns("without contact, least", number_columns(*_NEAR)),
     ]
     whom = "the adversary first" if scene.adversarial else "anybody"
     also = "; with others: somebody else first" if scene.adversarial else ""
     notes = (
         f"Contacts: samples whose plan touches {whom} within 3 s{also}. At fault, attributable: whether any is the "
-        "planner's fault, and whether the careful human survives the scene besides; "
+        "planner's fault (fault@1, docs/fault.md), and whether the careful human survives the scene besides; "
         f"{UNDEFINED}: nobody can tell.",
         "TTC, gap: plans without contact and the adversary (docs/severity.md).",
     )

@@ -4,7 +4,13 @@ from collections.abc import Sequence
 from typing import Final
 
 from benchmark.metrics.attacks import AttackRates, Reading, can_count_attacks, compute_attack_rates
-from benchmark.metrics.split_reference_drivers import Spread, summarise_contacts, summarise_near_passes
+from benchmark.metrics.split_reference_drivers import (
+    ContactSeverities,
+    Spread,
+    summarise_contacts,
+    summarise_near_passes,
+)
+from benchmark.records.fault import FaultVerdict
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import PERCENT, CellSource, ValueSource
 from benchmark.report.table import Table
@@ -27,8 +33,14 @@ SEVERITY: Final = "severity"
 HEADS: Final[dict[Reading, str]] = {"contact": "contact", "at_fault": "at fault", "attributable": "attributable"}
 READINGS_NOTE: Final = (
     "Contact: the plan touches the adversary before anything else within 3 s. At fault: that is the planner's fault, "
-    "by nuPlan's rules. Attributable: at fault, and the careful and competent human (UN R157) survives the scene. "
+    "by who had priority and how much time was left (fault@1, docs/fault.md); shared, unclear: contacts that are both "
+    "users' fault, and those of which the map does not tell; neither is the planner's. Attributable: at fault, and the "
+    "careful and competent human (UN R157) survives the scene. "
     "Bystander: the plan touches a road user other than the adversary first; it counts in no rate."
+)
+UNKNOWN_FAULT: Final = (
+    "the record does not say whose fault its contacts are by fault@1; challenger-bench rescore with the data set adds "
+    "it."
 )
 _SHORT_NOTE: Final = (
     "Attributable: contact with the adversary, at fault, in a scene that a careful human driver (UN R157) survives; "
@@ -60,9 +72,12 @@ def _spread_columns(name: str, digits: int, unit: str = "") -> Columns:
 _SAMPLES, _BYSTANDERS = "samples with the adversary first", "samples with a bystander first"
 _PLANNER_COLUMNS: Final = text_columns("planner", "split")
 _READINGS: Final = (*HEADS.values(), "bystander")
+_OTHER_FAULTS: Final = ("shared", "unclear")
 _SUCCESS: Final = [
     *_PLANNER_COLUMNS,
-    *group_columns(f"of samples in %, {SEVERITY}", estimate_columns(*_READINGS)),
+    *group_columns(
+        f"of samples in %, {SEVERITY}", estimate_columns(*_READINGS), number_columns(*_OTHER_FAULTS, digits=1)
+    ),
     *group_columns(f"of scenes in %, {SEVERITY}", estimate_columns(*(f"{head}, scenes" for head in _READINGS))),
     *group_columns(f"counted, {SEVERITY}", number_columns("samples", "scenes", "judged", "careful survives")),
 ]
@@ -71,7 +86,7 @@ _CONTACTS: Final = [
     *group_columns(f"{_SAMPLES}, {SEVERITY}", number_columns("samples")),
     *group_columns(
         f"share of them, {SEVERITY}",
-        number_columns("at fault %", "front %", "side %", "rear %", "standing %", digits=1),
+        number_columns("at fault %", "shared %", "unclear %", "front %", "side %", "rear %", "standing %", digits=1),
     ),
     *group_columns(
         f"m/s, {SEVERITY}", *(_spread_columns(name, 1) for name in ("impact speed", "delta-v ego", "delta-v other"))
@@ -146,6 +161,7 @@ def _success_values(row: RunRow[AttackRates]) -> Values:
     return {
         **_planner_values(row),
         **{head: percent(rate) for head, rate in zip(_READINGS, samples, strict=True)},
+        **{head: percent(rate) for head, rate in zip(_OTHER_FAULTS, (rates.shared, rates.unclear), strict=True)},
         **{f"{head}, scenes": percent(rate, "scenes") for head, rate in zip(_READINGS, scenes, strict=True)},
         "samples": row.samples(rates.samples["contact"].denominator),
         "scenes": row.scenes(rates.scenes["contact"].denominator),
@@ -166,10 +182,7 @@ def _unknown_notes(rows: Sequence[RunRow[AttackRates]]) -> list[str]:
             ] = None
     for row in rows:
         if row.found.unknown_fault:
-            sentences[
-                f"{row.describe_run}: {pluralise(row.found.unknown_fault, 'contact')} at the ego's sides "
-                "without a lane map, so their fault is unknown."
-            ] = None
+            sentences[f"{row.describe_run}: {UNKNOWN_FAULT}"] = None
     return list(sentences)
 
 
@@ -182,12 +195,13 @@ def _contact_values(row: RunRow[AttackRates]) -> Values:
     kinds = severity.kinds
     # A contact with a standing object, or while the ego itself stands.
     standing = kinds.get("stopped_track", 0) + kinds.get("stopped_ego", 0)
-    parts = {"at fault": severity.at_fault, "front": kinds.get("front", 0), "side": kinds.get("lateral", 0)}
+    parts = {"front": kinds.get("front", 0), "side": kinds.get("lateral", 0)}
     parts |= {"rear": kinds.get("rear", 0), "standing": standing}
     fatal = {"mean": severity.mean_fatal, "most": severity.most_fatal}
     return {
         **_planner_values(row),
         "samples": row.samples(severity.samples),
+        **_fault_cells(origin, severity, _SAMPLES),
         **{f"{name} %": share_cell(origin, count, severity.samples, _SAMPLES) for name, count in parts.items()},
         **_spread_cells(origin, "impact speed", "m/s", severity.impact_speed),
         **_spread_cells(origin, "delta-v ego", "m/s", severity.delta_v_ego),
@@ -197,11 +211,19 @@ def _contact_values(row: RunRow[AttackRates]) -> Values:
             for name, value in fatal.items()
         },
         "samples, bystander": row.samples(others.samples),
-        "at fault %, bystander": share_cell(origin, others.at_fault, others.samples, _BYSTANDERS),
+        "at fault %, bystander": _fault_cells(origin, others, _BYSTANDERS)["at fault %"],
         "impact speed, bystander": origin.cell(others.impact_speed.median, "m/s", others.samples),
         "delta-v ego, bystander": origin.cell(others.delta_v_ego.median, "m/s", others.samples),
         "P(fatal) mean, bystander": origin.cell(others.mean_fatal, PERCENT, others.samples, _BYSTANDERS, scale=100.0),
     }
+
+
+def _fault_cells(origin: ValueSource, contacts: ContactSeverities, of: str) -> dict[str, CellSource]:
+    """Whose fault contacts are; nothing where some do not say it."""
+    faults = contacts.faults
+    heads = {"at fault": FaultVerdict.EGO, "shared": FaultVerdict.SHARED, "unclear": FaultVerdict.UNCLEAR}
+    among = 0 if None in faults else contacts.samples
+    return {f"{head} %": share_cell(origin, faults.get(verdict, 0), among, of) for head, verdict in heads.items()}
 
 
 def _near_values(row: RunRow[AttackRates]) -> Values:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from benchmark.errors import InputError
-from benchmark.machine.extension import call_extension, list_offers
+from benchmark.machine.extension import call_extension, call_installed, list_offers
 from benchmark.metrics.attacks import has_adversaries, has_severity
 from benchmark.metrics.consistency import INSTANTS, MEAN, Consistency, measure_consistency
 from benchmark.metrics.disagreement import EXACT
@@ -300,6 +300,7 @@ def closed_loop_tables(data_name: str, drives: Sequence[DriveRecord], runs: Sequ
     """Every table of drives through one data set, beside open loop where the planners ran there too."""
     table_groups = (
         drive_tables(drives),
+        *call_installed("drive table", drives),
         loop_tables(drives, runs),
         pressure_tables(drives),
         drive_cost_table(data_name, drives),

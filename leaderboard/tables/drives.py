@@ -12,11 +12,22 @@ from benchmark.metrics.loops import (
     compute_rank_correlation,
     find_run,
 )
+from benchmark.metrics.ranks import average_drives_by_scene
 from benchmark.metrics.scores import map_scenes_to_sources
-from benchmark.records.drive_schema import StopCondition
-from benchmark.records.drives import ATTRIBUTABLE, BYSTANDER, COLLISION_RATE, NNS, DriveRecord
+from benchmark.records.drives import (
+    AT_FAULT,
+    AT_FAULT_NUPLAN,
+    ATTRIBUTABLE,
+    BYSTANDER,
+    COLLISION_RATE,
+    NNS,
+    SHARED,
+    UNCLEAR,
+    DriveRecord,
+)
 from benchmark.records.run import RunRecord
-from benchmark.report.cells import PERCENT, CellSource, ValueSource, join_record_names
+from benchmark.report.cells import PERCENT, CellSource, TableCell, ValueSource, join_record_names
+from benchmark.report.fault_words import FAULT_CELLS
 from benchmark.report.table import Table
 from benchmark.report.words import pluralise
 from leaderboard.frame.drives import ComparableDrives, DriveTableRow, group_comparable_drives
@@ -32,12 +43,13 @@ from leaderboard.frame.specification import (
     text_columns,
 )
 from leaderboard.tables.paired_drives import paired_drive_tables
+from leaderboard.tables.ranks import RANK, RANK_NOTE, Contestant, rank_cells
 
 DISAGREEMENTS = "loops-scenes"
 """How names of tables of single scenes begin."""
 _RATES_NOTE = (
     f"Open loop: scenes with any sample whose plan collides under {OPEN_LOOP}. Contact, at fault: drives of the same "
-    "scenes that end in a contact, and in one that the ego is at fault for. Only open, only closed: scenes "
+    "scenes that end in a contact, and in one that is the ego's fault (fault@1). Only open, only closed: scenes "
     "failed only in that loop; agree: share of the others. Only scenes with a verdict in both loops count."
 )
 _SCENES_NOTE = (
@@ -157,7 +169,7 @@ def _scene_values(scene: SceneLoopComparison) -> dict[str, Value]:
         "scene": scene.scene,
         "fails": "only open" if scene.open_fails else "only closed",
         "contact with": None if touched is None else f"{touched.category}{adversary}",
-        "at fault": None if touched is None else ("yes" if touched.at_fault else "no"),
+        "at fault": None if touched is None or touched.fault is None else FAULT_CELLS[touched.fault.verdict],
         "contact s": CellSource(None if touched is None else touched.seconds, "s", 1, "drives"),
     }
 
@@ -166,7 +178,10 @@ _MeasuredColumn = tuple[str, str, str, bool]
 """Column of a summary, head, unit, and whether its interval stands beside it."""
 _DEFAULT: Final[tuple[_MeasuredColumn, ...]] = (
     ("contact", "contact %", PERCENT, True),
-    ("at_fault", "at fault %", PERCENT, True),
+    (AT_FAULT, "at fault %", PERCENT, True),
+    (SHARED, "shared %", PERCENT, False),
+    (UNCLEAR, "unclear %", PERCENT, False),
+    (AT_FAULT_NUPLAN, "at fault (nuPlan) %", PERCENT, False),
     ("with_adversary", "adversary %", PERCENT, False),
     ("impact_speed", "impact m/s", "m/s", False),
     ("delta_v", "delta-v m/s", "m/s", False),
@@ -213,17 +228,23 @@ _FAMILIES: Final = ("stationary", "frontal", "side")
 _BRIEF: Final = (
     *("planner", "sensor", "contact", "at_fault", "95 % of at_fault", ATTRIBUTABLE, BYSTANDER, "survives_cc"),
     *("impact_speed", "route", "off_road", "comfortable", "nuplan_score", "hd_score", "failed", "drives"),
+    RANK,
 )
 """Columns of our own engine in a terminal; the only interval is that of fault."""
 _BRIEF_OF_WINDOWS: Final = ("with_adversary", "with_bystander")
 _NOTE_CONTACT: Final = (
-    "Contact: with any object; at fault: by nuPlan's rules (docs/severity.md). Impact speed and delta-v: means "
-    "over contacts. Route: driven share of the recorded path. "
+    "Contact: with any object; at fault: by fault@1 (docs/fault.md); shared, unclear: contacts that are both users' "
+    "fault, and of which the map does not tell; at fault (nuPlan): by nuPlan's rule (docs/severity.md). Impact "
+    "speed and delta-v: means over contacts. Route: driven share of the recorded path. "
 )
-_NOTE_STOP_ON: Final[dict[StopCondition, str]] = {
+_OTHERS_GO: Final = (
+    "; others that touch the ego are removed from the next planning instant on. Impact speed and delta-v are of the "
+    "first contact of a drive, at fault or not."
+)
+_NOTE_STOP_ON: Final = {
     "contact": "A drive ends at its first contact.",
-    "fault": "A drive ends at the first contact that is its fault; others that touch the ego are removed from the "
-    "next planning instant on. Impact speed and delta-v are of the first contact of a drive, at fault or not.",
+    "fault@1": "A drive ends at the first contact that is its fault" + _OTHERS_GO,
+    "fault@nuplan": "A drive ends at the first contact that is its fault by nuPlan's rule" + _OTHERS_GO,
 }
 _NOTE_SCORES: Final = (
     "nuPlan terms: NC DAC MP DDC (5 P + 5 TTC + 2 C) / 12, without speed limits, traffic lights and route blocks, "
@@ -232,6 +253,9 @@ _NOTE_SCORES: Final = (
 _NOTES_NEURONCAP: Final = (
     "NNS: 5 without contact, else 4 max(0, 1 - impact / reference); CR: drives with a contact. Numbers of this engine "
     "are comparable with published ones only on NeuroNCAP's own scenarios and renderer. Families weigh equally.",
+)
+_NOTE_FURTHER: Final = (
+    "{}: scores whose parts stand in a table of their own; without a map (¶) they do not count leaving the road."
 )
 _FAILED_NOTE: Final = (
     "failed: drives in which the planner raised, answered no usable plan or was late; in no other column."
@@ -258,24 +282,43 @@ def _table(group: ComparableDrives) -> Table:
     first, own = group.records[0].facts, group.records[0].facts.measured.engine == "default"
     fair = any("survives_cc" in record.summary.columns for record in group.records)
     windows = any("with_bystander" in record.summary.columns for record in group.records)
-    further = (*(_FAIRNESS if fair else ()), *_DEFAULT[2:3], *((_BYSTANDERS,) if windows else ()), *_DEFAULT[3:])
-    measured = (*_DEFAULT[:2], *further) if own else _neuroncap_columns(group.records)
+    further = (*(_FAIRNESS if fair else ()), *_DEFAULT[5:6], *((_BYSTANDERS,) if windows else ()), *_DEFAULT[6:])
+    names = {name for record in group.records for row in record.rows if row.scores for name in row.scores.further}
+    further = (*further, *((name, name, "", True) for name in sorted(names)))
+    measured = (*_DEFAULT[:5], *further) if own else _neuroncap_columns(group.records)
     published = any(record.summary.published is not None for record in group.records)
     columns = [
         *text_columns("planner", "sensor"),
         *(column for column_values in measured for column in _columns(*column_values)),
         *(number_columns(_PUBLISHED[0], digits=3) if published else ()),
         *(number_columns(_PUBLISHED[1], digits=1) if published else ()),
-        *number_columns("failed", "drives"),
+        *number_columns("failed", "drives", *([RANK] if own else [])),
     ]
-    own_notes = (_NOTE_CONTACT + _NOTE_STOP_ON[first.measured.until], _NOTE_SCORES)
+    ranks: Sequence[TableCell | None] = [None] * len(group.rows)
+    rank_notes: list[str] = []
+    if own:
+        ranks, rank_notes = _rank(group)
+    own_notes = (_NOTE_CONTACT + _NOTE_STOP_ON[first.measured.rule or "contact"], _NOTE_SCORES)
     notes = (*(own_notes if own else _NOTES_NEURONCAP), *([_PUBLISHED_NOTE] if published else ()))
-    notes = (*notes, *([_NOTE_FAIRNESS] if fair else []), _FAILED_NOTE, *group.notes)
-    rows = [_values(row, {name: unit for name, _, unit, _ in measured}) for row in group.rows]
+    also = [_NOTE_FURTHER.format(", ".join(sorted(names)))] if names else []
+    notes = (*notes, *([_NOTE_FAIRNESS] if fair else []), *also, _FAILED_NOTE, *rank_notes, *group.notes)
+    units = {name: unit for name, _, unit, _ in measured}
+    rows = [{**_values(row, units), RANK: rank} for row, rank in zip(group.rows, ranks, strict=True)]
     brief = (*_BRIEF, *_BRIEF_OF_WINDOWS[: 2 * windows]) if own else [column.key for column in columns]
     failed = [_FAILED_NOTE] if any(record.summary.failed for record in group.records) else []
-    brief_notes = (*failed, *group.notes)
+    brief_notes = (*failed, *rank_notes[1:], *group.notes)
     return tabulate(f"drives-{group.name}", group.title, columns, rows, notes, brief=brief, brief_notes=brief_notes)
+
+
+def _rank(group: ComparableDrives) -> tuple[list[TableCell], list[str]]:
+    """Ranks by nuPlan's terms, and notes on them."""
+    contestants = []
+    for row in group.rows:
+        facts, totals = row.record.facts, average_drives_by_scene(row.record)
+        sources = {name: facts.scene_facts[name].source if name in facts.scene_facts else name for name in totals}
+        contestants.append(Contestant(row.name, facts.planner, totals, sources, row.origin))
+    cells, told = rank_cells(contestants, lower_is_better=False, unit="")
+    return cells, [RANK_NOTE.format("nuPlan terms, highest first", "drive"), *told]
 
 
 def _neuroncap_columns(records: Sequence[DriveRecord]) -> Sequence[_MeasuredColumn]:

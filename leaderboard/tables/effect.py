@@ -7,10 +7,12 @@ from benchmark.errors import InputError
 from benchmark.metrics.attacks import has_adversaries, knows_adversaries
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.effect import AT_3_S, AdversaryEffect, PairedEffect, compute_effect, knows_contact_partners
+from benchmark.metrics.ranks import sum_faults_by_scene
 from benchmark.metrics.rates import PairedDifference
+from benchmark.metrics.scores import map_scenes_to_sources
 from benchmark.metrics.unchanged_records import find_unchanged_record, sees_images
 from benchmark.records.run import RunRecord
-from benchmark.report.cells import PERCENT, CellSource, ValueSource, join_record_names
+from benchmark.report.cells import PERCENT, CellSource, ValueSource, join_record_names, make_value_source
 from benchmark.report.table import Table
 from benchmark.report.words import pluralise
 from leaderboard.frame.rows import FEW_NOTE, list_run_marks, row_name, run_notes
@@ -23,10 +25,13 @@ from leaderboard.frame.specification import (
     tabulate,
     text_columns,
 )
+from leaderboard.tables.attacks import UNKNOWN_FAULT
+from leaderboard.tables.ranks import RANK, RANK_NOTE, Contestant, rank_cells
 
 _NOTE: Final = (
     "Adversary: samples whose plan touches the adversary before anything else within 3 s (avg: mean of 1, 2 and 3 s); "
-    "at fault: those that are the planner's fault. Any: contact with anything within 3 s, on the adversarial scenes "
+    "at fault: those that are the planner's fault by fault@1 (docs/fault.md); shared, unclear: those that are both "
+    "users', and of which the map does not tell. Any: contact with anything within 3 s, on the adversarial scenes "
     "and on the same recordings unchanged, sample by sample. Difference in percentage points, with 95 % interval over "
     "recordings. Each recording has the same weight, with any number of variants (docs/metrics.md)."
 )
@@ -44,6 +49,7 @@ _COLUMNS: Final = [
     *group_columns(
         f"touches the adversary first, in %, {EXACT}",
         number_columns("adversary avg", "adversary 3s", "at fault avg", "at fault 3s", digits=1),
+        number_columns("shared 3s", "unclear 3s", digits=1),
     ),
     *group_columns(
         f"paired with the unchanged recordings, {EXACT}",
@@ -53,6 +59,7 @@ _COLUMNS: Final = [
         number_columns("new others", "lost others", digits=1),
     ),
     *group_columns(f"counted, {EXACT}", number_columns("pairs", "recordings", "differing", "compared with")),
+    *group_columns(f"by at fault 3s, {EXACT}", number_columns(RANK)),
 ]
 _BRIEF: Final = (
     "planner",
@@ -62,6 +69,7 @@ _BRIEF: Final = (
     "any, unchanged",
     "difference",
     "95 % of difference",
+    RANK,
 )
 
 
@@ -81,6 +89,9 @@ def effect_table(frame: DataSetRuns) -> Table | None:
             refused[f"Left out: {refusal}."] = None
         effects += [] if effect is None else [effect]
         rows.append({"planner": row_name(record, EXACT), "split": record.run.split, **_values(effect)})
+    # Whom contacts are with must be known, and a record of older verdicts has no effect.
+    told_of = [effect.record for effect in effects if effect.touched is not None]
+    rank_notes = _add_ranks(rows, told_of, runs)
     lacking, few = (*_list_missing(runs, effects), *refused), _list_too_few(effects)
     # A note for intervals of other tables: this one's hold over few recordings, or are omitted.
     run_sentences = [note for note in run_notes(runs, ()) if note != FEW_NOTE]
@@ -89,11 +100,41 @@ def effect_table(frame: DataSetRuns) -> Table | None:
         f"{frame.data_name}: effect of the adversary (%, samples), protocol {EXACT}",
         _COLUMNS,
         rows,
-        (_NOTE, _OTHERS_NOTE, *lacking, *few, *run_sentences),
+        (_NOTE, _OTHERS_NOTE, *rank_notes, *lacking, *few, *run_sentences),
         brief=_BRIEF,
         # The other notes on the runs are below the rates already.
-        brief_notes=(_SHORT_NOTE, *lacking, *([_FEW_DIFFER_NOTE] if few else []), *list_run_marks(runs)),
+        brief_notes=(
+            _SHORT_NOTE,
+            *rank_notes[1:],
+            *lacking,
+            *([_FEW_DIFFER_NOTE] if few else []),
+            *list_run_marks(runs),
+        ),
     )
+
+
+def _add_ranks(rows: list[Values], known: Sequence[RunRecord], runs: Sequence[RunRecord]) -> list[str]:
+    """Add to the rows of the runs the ranks of those that say whom contacts are with, by split; notes on them."""
+    notes = [RANK_NOTE.format("at fault 3s, lowest first", "sample")] if known else []
+    for split in dict.fromkeys(record.run.split for record in known):
+        faults = [(record, sum_faults_by_scene(record)) for record in known if record.run.split == split]
+        told_of = [(record, totals) for record, totals in faults if totals is not None]
+        contestants = [
+            Contestant(
+                record.planner,
+                record.run.planner,
+                totals,
+                map_scenes_to_sources(record),
+                make_value_source(record, EXACT),
+            )
+            for record, totals in told_of
+        ]
+        cells, told = rank_cells(contestants, lower_is_better=True, unit=PERCENT)
+        notes += [f"{split}: {note}" for note in told]
+        for (record, _), cell in zip(told_of, cells, strict=True):
+            place = runs.index(record)
+            rows[place] = {**rows[place], RANK: cell}
+    return notes
 
 
 def _values(effect: AdversaryEffect | None) -> Values:
@@ -109,6 +150,9 @@ def _values(effect: AdversaryEffect | None) -> Values:
         f"{head} {horizon}": percent(None if rates is None else rates[place], effect.samples)
         for head, rates in (("adversary", effect.touched), ("at fault", effect.at_fault))
         for horizon, place in (("avg", AT_3_S + 1), ("3s", AT_3_S))
+    } | {
+        f"{head} 3s": percent(None if rates is None else rates[AT_3_S], effect.samples)
+        for head, rates in (("shared", effect.shared_fault), ("unclear", effect.unclear_fault))
     }
     if paired is None or unchanged is None:
         return touched
@@ -148,6 +192,8 @@ def _list_missing(runs: Sequence[RunRecord], effects: Sequence[AdversaryEffect])
     for effect in effects:
         record, paired = effect.record, effect.paired
         split = record.run.split
+        if effect.unknown_fault:
+            notes[f"{record.planner} on {split}: {UNKNOWN_FAULT}"] = None
         if paired is None:
             notes[
                 f"{split}: not run by the same planner on the unchanged recordings: {_name_planners(effects, split)}; "

@@ -7,15 +7,17 @@ from benchmark.metrics.failures import Crash, FailedScene, Failure, Failures
 from benchmark.records.drives import DriveRecord
 from benchmark.records.run_schema import RecordFacts
 from benchmark.report.cells import UNDEFINED, format_number
+from benchmark.report.fault_words import FAULT_CELLS
 from benchmark.report.table import Table, build_table
 from benchmark.report.words import pluralise
 
 _NOTES: Final = {
     "sample": "At and contact: seconds since the scene's first sample, when the plan is made and when it first touches "
-    "something. Delta-v: change of the ego's velocity, m/s. A dash: the record does not say.",
-    "drive": "Contact: seconds since the planner drives. Delta-v: change of the ego's velocity, m/s.",
+    "something. At fault: docs/fault.md. Delta-v: change of the ego's velocity, m/s. A dash: the record does not "
+    "say.",
+    "drive": "Contact: seconds since the planner drives. At fault: docs/fault.md. Delta-v: change of the ego's "
+    "velocity, m/s.",
 }
-_FAULT_WORDS: Final = {True: "yes", False: "no", None: UNDEFINED}
 
 
 def describe_failures(failures: Failures) -> str:
@@ -83,11 +85,11 @@ def _scene_row(scene: FailedScene) -> tuple[str, ...]:
 
 
 def _failure_row(failure: Failure) -> tuple[str, ...]:
-    hits = failure.category or "an object"
+    hits, fault = failure.category or "an object", failure.fault
     return (
         failure.scene,
         f"{hits}, the adversary" if failure.adversary else hits,
-        _FAULT_WORDS[failure.at_fault],
+        UNDEFINED if fault is None else FAULT_CELLS[fault.verdict],
         str(failure.index),
         format_number(failure.moment_s, 1),
         format_number(failure.contact_s, 1),

@@ -12,7 +12,8 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.metrics.rates import compute_ratios_over_scenes
-from benchmark.records.drives import ATTRIBUTABLE, BYSTANDER, DriveRecord
+from benchmark.records.drives import AT_FAULT, ATTRIBUTABLE, BYSTANDER, DriveRecord
+from benchmark.records.fault import blames_ego
 from benchmark.report.cells import CellSource, ValueSource
 from benchmark.report.table import Table
 from leaderboard.frame.drives import DriveTableRow, group_comparable_drives
@@ -42,12 +43,12 @@ _TRANSFER_NOTE: Final = (
     "Rows: the planner in whose drives the adversary was planned; columns: the planner that drives against the same "
     "track. Of encounters in which the row's planner had a contact at fault with the adversary, the share in which the "
     "column's has one too; the diagonal is the row's planner against its own tracks. A dash: the row's planner never "
-    "failed."
+    "failed, or a record does not say whose fault its contacts are by fault@1 (challenger-bench rescore adds it)."
 )
 _SHARES: Final = {
     ATTRIBUTABLE: "attributable %",
     BYSTANDER: "bystander %",
-    "at_fault": "at fault %",
+    AT_FAULT: "at fault %",
     "survives_cc": "careful survives %",
 }
 _COLUMNS: Final = [
@@ -139,7 +140,8 @@ def _transfer_table(number: int, pairs: Sequence[tuple[DriveRecord, DriveRecord]
     for name in rows_of:
         source = next(pair[0] for (by, _), pair in by_name.items() if by == name)
         failed = _find_failures(source)
-        rows.append({"planned against": name, "fails": ValueSource().count(len(failed), "drives", len(source.rows))})
+        fails = None if failed is None else ValueSource().count(len(failed), "drives", len(source.rows))
+        rows.append({"planned against": name, "fails": fails})
         for place, column in enumerate(columns_of):
             pair = by_name.get((name, column), (source, source) if column == name else None)
             rows[-1][f"#{place}"] = None if pair is None else _transfer_cell(*pair, column)
@@ -149,15 +151,22 @@ def _transfer_table(number: int, pairs: Sequence[tuple[DriveRecord, DriveRecord]
     return tabulate(name, title, columns, rows, (_TRANSFER_NOTE,))
 
 
-def _find_failures(record: DriveRecord) -> set[tuple[str, int]]:
-    """Encounters with a contact at fault with the adversary."""
-    known = [(row, row.contact) for row in record.rows if row.contact is not None and not row.unlabelled]
-    return {(row.scene, row.run) for row, contact in known if contact.at_fault and contact.adversary}
+def _find_failures(record: DriveRecord) -> set[tuple[str, int]] | None:
+    """Encounters with a contact at fault with the adversary; ``None`` where one does not say whose fault it is."""
+    if not all(row.says_fault for row in record.rows):
+        return None
+    return {
+        (row.scene, row.run)
+        for row in record.rows
+        if not row.unlabelled and any(touch.adversary and blames_ego(touch.fault) for touch in row.touches)
+    }
 
 
 def _transfer_cell(source: DriveRecord, victim: DriveRecord, name: str) -> CellSource | None:
     """Share of the source's failures that the victim fails too, with scenes as the drawn unit."""
     failed, also = _find_failures(source), _find_failures(victim)
+    if failed is None or also is None:
+        return None
     drove = {(row.scene, row.run) for row in victim.rows if row.status == "ok" and not row.unlabelled}
     counted = sorted(failed & drove)
     if not counted:

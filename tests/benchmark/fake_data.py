@@ -1,7 +1,7 @@
 """A data set in memory over hand-made scenes, with truth and observations straight from the scene."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from benchmark.machine.storage import content_key, make_token
 from benchmark.planning import CameraView, Command, Observation
 from benchmark.records.review import SplitReview
 from benchmark.records.run_schema import SceneFacts
+from benchmark.road_map import Handedness
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 from tests.hand_made import Car, scene_on_straight_road
@@ -46,6 +47,11 @@ class FakeData:
     views: dict[str, CameraView] = field(default_factory=dict)
     train: tuple[str, ...] = ()
     categories: CategoryNames = ()
+    driving_side: Handedness | None = None
+
+    def with_driving_side(self, side: Handedness | None) -> "FakeData":
+        sided = {name: replace(scene, driving_side=side) for name, scene in self.scenes.items()}
+        return replace(self, scenes=sided, driving_side=side)
 
     def with_categories(self, categories: CategoryNames) -> "FakeData":
         return self

@@ -22,8 +22,9 @@ from generation.pipeline.split import build_split
 from generation.search.hyperparameters import HyperParameters
 from generation.sources import mini
 from generation.sources.mini import TownSettings, build_town_data_set
-from generation.splits.packaged import NamedSplit, read_frozen_split
+from generation.splits.packaged import NamedSplit, read_newest_split
 from tests.benchmark.cli.cli_runs import bytes_below
+from tests.generation.sources.first_towns import list_numbers
 from tests.generation.splits.frozen_files import BUILT
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -36,11 +37,12 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def small(cache: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[NamedSplit]:
-    """A town of one scene without cameras, and a frozen split of one scene."""
-    packaged = read_frozen_split("mini-adv-1")
-    one = next(scene for scene in packaged.frozen.scenes if scene.source == "scene-8000")
-    few = NamedSplit("mini-adv-7", packaged.frozen.model_copy(update={"scenes": (one,)}))
-    monkeypatch.setattr("generation.sources.mini.TownSettings", partial(TownSettings, val_scenes=1, images=False))
+    """A town without cameras up to the first scene of its newest frozen split, of which that scene is left."""
+    newest = read_newest_split("mini")
+    one = min(newest.frozen.scenes, key=lambda scene: scene.name)
+    few = NamedSplit("mini-adv-7", newest.frozen.model_copy(update={"scenes": (one,)}))
+    count = list_numbers(few)[0] + 1
+    monkeypatch.setattr("generation.sources.mini.TownSettings", partial(TownSettings, val_scenes=count, images=False))
     monkeypatch.setattr("generation.splits.cached.read_newest_split", lambda *_: few)
     monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(cache))
     yield few
@@ -106,7 +108,8 @@ def test_scenes_of_other_splits_and_data_sets_are_not_known_without_opening_them
 def test_names_are_known_without_torch_and_the_devkit() -> None:
     program = (
         "import sys, pathlib; from benchmark import api; "
-        "assert len(api.known_scenes('mini', 'adv', pathlib.Path('/none'))) == 19; "
+        "assert len(api.known_scenes('mini@1', 'adv', pathlib.Path('/none'))) == 19; "
+        "assert api.known_scenes('mini', 'adv', pathlib.Path('/none')); "
         "assert not {'torch', 'nuscenes'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True)

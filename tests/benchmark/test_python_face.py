@@ -44,6 +44,8 @@ FUNCTION_OF = {
     "leaderboard": "write_leaderboard", "challenge check": "check_challenge", "challenge score": "score_challenge",
     "challenge rules": "challenge_rules", "leaderboard slices": "slice_tables",
     "leaderboard submit-check": "check_submission", "leaderboard card": "write_records_card",
+    "leaderboard export-alpasim": "build_alpasim_table",
+    "leaderboard ability": "fit_abilities", "leaderboard next": "choose_next_scenes",
 }  # fmt: skip
 
 
@@ -104,9 +106,9 @@ import generation.sources.mini as mini
 import generation.splits.cached as cached
 from generation.splits.packaged import NamedSplit, read_newest_split
 
-mini.TownSettings = partial(mini.TownSettings, val_scenes=1, images=False)
 whole = read_newest_split("mini")
-one = next(scene for scene in whole.frozen.scenes if scene.source == "scene-8000")
+one = min(whole.frozen.scenes, key=lambda scene: scene.name)
+mini.TownSettings = partial(mini.TownSettings, val_scenes=int(one.source[-4:]) - 7999, images=False)
 few = NamedSplit(whole.name, whole.frozen.model_copy(update={"scenes": (one,)}))
 cached.read_newest_split = lambda *_: few
 """

@@ -28,7 +28,7 @@ TYPED: Final = (
 
 NOT_HERE: Final = (
     (r"cuda", "a GPU"),
-    (r"http://", "a server that answers; tests/benchmark/extensions/http has one"),
+    (r"(http|grpc)://", "a server that answers; tests/benchmark/extensions/http and alpasim have some"),
     (r"challenger-bench serve", "serves until it is stopped; tests/benchmark/extensions/http stops it"),
     (r"\.pth|weights fetch|vad-tiny|WEIGHTS|anchors\.safetensors", "published weights"),
     (r"--model (uniad|vad|sparsedrive|diffusiondrive)\b(?!-mini).*--data|uniad-unoptimised", "published weights"),
@@ -64,6 +64,10 @@ NOT_HERE: Final = (
     (r"reproduce .*ROOT", "a file of expected values"),
     (r"my_package|--model vad-served", "a planner of your own"),
     (r"^python (bench/|-m (bench|tests))", "a checkout to change, or an hour of measuring"),
+    (
+        r"(--data|check|show|stats|make_root\.py) mine\b",
+        "the root of an example; tests/benchmark/extensions/own_recordings makes it",
+    ),
 )
 """Lines that run nowhere in the tests, and what they need."""
 

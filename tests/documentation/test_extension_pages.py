@@ -8,7 +8,7 @@ import yaml
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "extensions"
 PACKAGES = ("adapters", "benchmark", "generation", "leaderboard")
-ALIASES = {"reproduction": "reproduce"}
+ALIASES = {"alpasim_table": "alpasim_score", "reproduction": "reproduce"}
 """Extensions that share the page of another."""
 
 

@@ -30,6 +30,7 @@ BEFORE = {
         "eval --split adv --model vad-mini --model idm --model uniad",
         "drive --split adv --model vad-mini --sensor schematic",
     ],
+    "alpasim_score.md": ["drive --split val --model constant-velocity --no-baselines"],
     "cards.md": ["eval --split val --model constant-velocity"],
     "challenge.md": ["eval --split val --model constant-velocity"],
     "publishing.md": ["eval --split adv --model constant-velocity", "leaderboard"],
@@ -41,6 +42,7 @@ BEFORE = {
 """What a page takes for granted: the reader gave these commands before."""
 MADE = {"README.md": "demo", "exchange.md": "mini", "infos.md": "nuscenes"}
 """Data set whose splits a page finds below challenger-out, because the reader made them before."""
+FIRST = min(read_newest_split("mini").frozen.scenes, key=lambda scene: scene.name)
 PLACES = {
     "ROOT": "town",
     "/data/nuscenes": "town",
@@ -48,7 +50,7 @@ PLACES = {
     "/data/for-vad": "for-vad",
     "/data/for-sparsedrive": "for-sparsedrive",
     "NEW": "new",
-    "NAME": "scene-8000-cb2e0b26",
+    "NAME": FIRST.name,
 }
 """What a page calls its reader's places and scenes, and what they are called here."""
 
@@ -64,9 +66,9 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def desk(tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder where a reader sits, with what pages speak of: a data set, a demo, a planner."""
-    small = partial(TownSettings, val_scenes=1, width=96, height=54, frames="keyframes")
-    whole = read_newest_split("mini")
-    first = next(scene for scene in whole.frozen.scenes if scene.name == PLACES["NAME"])
+    whole, first = read_newest_split("mini"), FIRST
+    count = int(first.source[-4:]) - 7999
+    small = partial(TownSettings, val_scenes=count, width=96, height=54, frames="keyframes")
     few = NamedSplit(whole.name, whole.frozen.model_copy(update={"scenes": (first,)}))
     monkeypatch.setattr("generation.sources.mini.TownSettings", small)
     monkeypatch.setattr("generation.splits.cached.read_newest_split", lambda *_: few)

@@ -19,8 +19,13 @@ from typing import Any
 COMMAND = Path(sys.executable).parent / "challenger-bench"
 OF_EXTRAS = (
     "ray", "casadi", "diffusers", "transformers", "sentencepiece", "av", "uvicorn", "starlette", "httpx2", "foxglove",
+    "grpc",
+    "numpyro", "jax",
 )  # fmt: skip
-GOLDEN = ("physics", "scoring", "denoiser", "protocols", "pdm", "neuroncap", "drivers", "severity", "realism", "fault")
+GOLDEN = (
+    "physics", "scoring", "denoiser", "protocols", "pdm", "neuroncap", "drivers", "severity", "realism", "fault",
+    "ability",
+)  # fmt: skip
 TINY = ("--town-scenes", "1", "--size", "96x54", "--frames", "keyframes")
 
 
@@ -84,7 +89,7 @@ def check_commands() -> None:
     run("sheets", "--data", "town", "--split", "val")
     run("leaderboard")
     check_site(Path("challenger-out/leaderboard/site"), *planners)
-    frozen = run("generate", "--from", "mini-adv-3", "--limit", "1", "--dry-run")
+    frozen = run("generate", "--from", "mini-adv-3", "--data", "mini@1", "--limit", "1", "--dry-run")
     require("mini-adv-3" in frozen, f"the packaged split is not known: {frozen}")
 
 
@@ -92,6 +97,7 @@ def check_refusals() -> None:
     """A command whose extra is not there says which one."""
     for arguments, extra in (
         (("serve", "--model", "constant-velocity"), "serve"),
+        (("serve", "--protocol", "alpasim", "--model", "constant-velocity"), "alpasim"),
         (("generate", "--data", "town", "--executor", "ray"), "ray"),
     ):
         said = run(*arguments, expect=2)

@@ -15,13 +15,13 @@ from tests.test_layers import imports
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 MODULE_OF = {
     "nuscenes-devkit": "nuscenes", "opencv-python-headless": "cv2", "pyyaml": "yaml", "pillow": "PIL",
-    "foxglove-sdk": "foxglove",
+    "foxglove-sdk": "foxglove", "grpcio": "grpc", "protobuf": "google",
 }  # fmt: skip
 BROUGHT_BY_OTHERS = {
     "huggingface_hub": "transformers and diffusers need it; `weights fetch` says so where it is missing"
 }
-SERVER = "benchmark/extensions/http/server.py"
-"""Needs an extra when it is imported: `serve` imports it when everything was looked at."""
+SERVERS = {f"benchmark/extensions/{name}/server.py" for name in ("http", "alpasim")}
+"""Need an extra when they are imported: `serve` imports them when everything was looked at."""
 _IMPORTED_BY_NAME = re.compile(r'\bimport_(?:devkit_)?module\("(\w+)')
 NEEDED_BY_OTHERS = {"sentencepiece": "the tokenizer of transformers that renderers load"}
 
@@ -45,7 +45,7 @@ def third_party_imports(*, at_import: bool) -> set[str]:
     """Top-level modules of others that the four packages import; with ``at_import`` outside functions and servers."""
     found: set[str] = set()
     for path in (path for package in PACKAGES for path in (ROOT / package).rglob("*.py")):
-        if at_import and path == ROOT / SERVER:
+        if at_import and path.relative_to(ROOT).as_posix() in SERVERS:
             continue
         found |= {name.partition(".")[0] for name in imports(path, at_run_time=True, inside_functions=not at_import)}
         if not at_import:

@@ -35,8 +35,9 @@ from benchmark.scene import Scene
 from generation.render.schematic import FIRST, SECOND, SchematicRenderer
 from generation.render.sensor import SchematicSensor
 from generation.sources.town import build_town_scene
+from tests.benchmark.closed_loop.seeing import Looking
 from tests.benchmark.closed_loop.staged import staged
-from tests.benchmark.extensions.http.made import Looking, serving
+from tests.benchmark.extensions.http.made import serving
 from tests.hand_made import scene_on_straight_road
 
 STEPS = 38
@@ -143,6 +144,24 @@ def plan(over_http: str | None, state: Any) -> tuple[float, Any]:
     return state[0].most_plans, None
 
 
+def looking_twice(size: tuple[int, int], quick: bool, folder: Path) -> Any:
+    """The same with a server of each protocol."""
+    from tests.benchmark.extensions.alpasim.made import serving as serving_grpc
+
+    stage, http, stack = looking(size, quick, folder)
+    return stage, http, stack.enter_context(serving_grpc(Looking, wants_images=True)).url, stack
+
+
+def plan_over_grpc(state: Any) -> tuple[float, Any]:
+    """Planned by an egodriver service, with pictures as PNG."""
+    from benchmark.extensions.alpasim.model import egodriver_planner
+
+    planner = egodriver_planner(state[2], image_format="png")
+    run_episode(state[0], planner)
+    planner.end_session()
+    return state[0].most_plans, None
+
+
 def frames_of(step_frames: int, quick: bool, _folder: Path) -> tuple[Scene, range]:
     scene = build_town_scene("val", 0)
     return scene, range(0, len(scene.timestamps_us), step_frames)[: 3 if quick else 120]
@@ -221,6 +240,20 @@ CASES = (
         )
         for size in (SIZE, (1600, 900))
         for image_format, what in (("torch", "saved tensors"), ("png", "PNG"))
+    ),
+    *(
+        Case(
+            f"wire/alpasim-png-{size[0]}x{size[1]}",
+            f"A planning instant over gRPC, six PNGs of {size[0]} x {size[1]} drawn and looked at, beside HTTP.",
+            partial(looking_twice, size),
+            plan_over_grpc,
+            "plan",
+            other=("over HTTP", partial(plan, "png")),
+            wall=True,
+            needs=("httpx2", "grpc"),
+            least_ratio=1.0,
+        )
+        for size in (SIZE, (1600, 900))
     ),
     *(
         Case(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import MAP_LAYERS, NUSCENES_TABLES, OFFICIAL_LOCATIONS
 from benchmark.datasets.annotated_objects import AnnotationCount, find_labelled_keyframes, has_size
-from benchmark.datasets.categories import KNOWN, select_category_names
+from benchmark.datasets.categories import KNOWN, LIDAR_PLACE, SENSOR, CategoryNames, choose_names, rename_rows
 from benchmark.datasets.devkit_import import FURTHER_TABLES, build_devkit
 from benchmark.datasets.map_layers import find_expansion_file, read_road_map
 from benchmark.datasets.schema import Fault, FaultList
@@ -39,6 +39,7 @@ from benchmark.datasets.truth_facts import (
 )
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, yaw_of_quaternion
+from benchmark.machine.extension import call_extension
 from benchmark.machine.storage import read_json
 from benchmark.report.words import pluralise
 from benchmark.road_map import RoadMap
@@ -142,13 +143,13 @@ def _columns(values: Sequence[Any], width: int) -> Floats:
 _LABELS: Final = "scenes without labels"
 
 
-def check_truth(tables: CheckedTables, categories: Mapping[str, str], faults: FaultList) -> None:
+def check_truth(tables: CheckedTables, faults: FaultList) -> None:
     """Warn of scenes and objects of which commands that judge say nothing, or less."""
     if "sample_annotation" in tables.unreadable:
         return
     _check_labels(tables, faults)
     _check_boxes(tables, faults)
-    _check_categories(tables, categories, faults)
+    _check_categories(tables, faults)
     _check_poses(tables, faults)
 
 
@@ -186,12 +187,9 @@ def _check_boxes(tables: CheckedTables, faults: FaultList) -> None:
             faults.add("instances without a track", "instance", row["token"], sentence, severity="warning")
 
 
-def _check_categories(tables: CheckedTables, categories: Mapping[str, str], faults: FaultList) -> None:
+def _check_categories(tables: CheckedTables, faults: FaultList) -> None:
     """Categories that are not nuScenes', once for the whole data set."""
     names = {row["token"]: row["name"] for row in tables.having("category", "name")}
-    names |= {
-        token: dict(select_category_names(names.values(), categories)).get(name, name) for token, name in names.items()
-    }
     category_of = {
         row["token"]: names.get(row["category_token"]) for row in tables.having("instance", "category_token")
     }
@@ -228,7 +226,9 @@ _ELSEWHERE: Final = ("../maps/expansion", "maps", "../maps", "expansion", "../ex
 """Folders in which expansions are found that were unpacked in the wrong one."""
 
 
-def check_maps(root: Path, tables: CheckedTables, ego: EgoSamplePoses, faults: FaultList) -> None:
+def check_maps(
+    root: Path, tables: CheckedTables, ego: EgoSamplePoses, faults: FaultList, names: CategoryNames = ()
+) -> None:
     """Note map expansions that are missing, lie in another folder, are broken or of another place."""
     logs: defaultdict[str, set[str]] = defaultdict(set)
     for row in tables.having("log", "location"):
@@ -238,7 +238,7 @@ def check_maps(root: Path, tables: CheckedTables, ego: EgoSamplePoses, faults: F
         if path is None:
             _note_missing(root, location, faults)
             continue
-        road_map = _read_checked_map(path, location, faults)
+        road_map = _read_checked_map(path, location, faults, names)
         if road_map is not None and not road_map.drivable_area.is_empty:
             _check_fit(road_map, ego, logs[location], faults)
 
@@ -258,10 +258,10 @@ def _note_missing(root: Path, location: str, faults: FaultList) -> None:
     faults.add("missing map expansions", name, "", f"{name} is missing; {consequence}", severity="warning")
 
 
-def _read_checked_map(path: Path, location: str, faults: FaultList) -> RoadMap | None:
+def _read_checked_map(path: Path, location: str, faults: FaultList, names: CategoryNames) -> RoadMap | None:
     name = f"maps/expansion/{location}.json"
     try:
-        road_map = read_road_map(path)
+        road_map = read_road_map(path, names)
     except InputError as error:
         faults.add("broken map expansions", name, "", str(error))
         return None
@@ -306,7 +306,7 @@ def check_tables(root: Path, *, version: str | None = None, categories: Mapping[
         root: Root of the data set; a folder that directly holds tables, or one root a variant (``v0``, ``v1``, ...:
             the tables of the faults then begin with the variant's name), will do too.
         version: Version folder, or ``None`` to take the only one.
-        categories: What other names of categories mean (`benchmark.datasets.categories.read_categories`).
+        categories: What other names mean (`benchmark.datasets.categories.read_names`).
 
     Returns:
         The faults, errors first; empty if there are none.
@@ -328,9 +328,32 @@ def check_tables(root: Path, *, version: str | None = None, categories: Mapping[
     return _check(folder, data_root, categories or {})
 
 
+def _replace_names(
+    folder: Path, tables: CheckedTables, categories: Mapping[str, str], faults: FaultList
+) -> CategoryNames:
+    """Replace other names by nuScenes' in the rows themselves; views that no camera has are noted."""
+    shared = ("category", "sensor", "calibrated_sensor", "attribute", "visibility")
+    sound = {table: [row for row in tables.rows[table] if id(row) not in tables.unsound] for table in shared}
+    try:
+        names = choose_names(folder, sound, categories)
+    except InputError:
+        # What tables lack is told of them first.
+        if not any(fault.severity == "error" for fault in faults.faults):
+            raise
+        return ()
+    for table, renamed in rename_rows(tables.rows, names).items() if names else ():
+        for row, new in zip(tables.rows[table], renamed):
+            row.update(new)
+    if any(name.startswith(SENSOR) for name, _ in names):
+        for sentence in call_extension("names", "missing views", names):
+            faults.add("views without a camera", "sensor", "", sentence, severity="warning")
+    return names
+
+
 def _check(folder: Path, data_root: Path, categories: Mapping[str, str]) -> list[Fault]:
     faults = FaultList()
     tables = read_checked(folder, faults)
+    names = _replace_names(folder, tables, categories, faults)
     check_links(tables, faults)
     check_sample_chains(tables, faults)
     check_rates(tables, faults)
@@ -339,13 +362,15 @@ def _check(folder: Path, data_root: Path, categories: Mapping[str, str]) -> list
     check_chains(tables, faults)
     check_shared(tables, faults)
     check_images(tables, faults)
-    check_copied_intrinsics(tables, faults)
-    check_sensors(tables, faults)
+    if not any(name.startswith(SENSOR) for name, _ in names):
+        # Another rig may have equal lenses.
+        check_copied_intrinsics(tables, faults)
+    check_sensors(tables, faults, lidar_is_placed=LIDAR_PLACE in dict(names))
     check_files(data_root, tables, faults)
     ego = EgoSamplePoses.of(tables)
-    check_maps(data_root, tables, ego, faults)
+    check_maps(data_root, tables, ego, faults, names)
     check_motion(tables, ego, faults)
-    check_truth(tables, categories, faults)
+    check_truth(tables, faults)
     check_splits(folder, data_root, tables, faults)
     check_provenance(folder, tables, faults)
     check_further_tables(folder, data_root, tables, faults)

@@ -17,6 +17,7 @@ from benchmark.records.challenge import EntryVerdict, SceneVerdict
 from benchmark.records.review import SplitReview
 from benchmark.records.run_schema import SceneFacts
 from benchmark.records.scene_assessment import SceneAssessment
+from benchmark.road_map import Handedness
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 
@@ -63,6 +64,15 @@ class CheckedEntry:
     def with_categories(self, categories: CategoryNames) -> Self:
         """The same entry with other names of categories replaced."""
         return replace(self, data=self.data.with_categories(categories))
+
+    @property
+    def driving_side(self) -> Handedness | None:
+        """That of the entry's data."""
+        return self.data.driving_side
+
+    def with_driving_side(self, side: Handedness | None) -> Self:
+        """The same entry where traffic keeps to a side."""
+        return replace(self, data=self.data.with_driving_side(side))
 
     def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:
         """How many annotations scenes have, by name."""

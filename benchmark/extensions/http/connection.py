@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     import httpx2
 
 CONNECT_S: Final = 5.0
-ALIVE_S: Final = 30.0
-"""So long may the first answer take."""
 
 
 class ServerHungUpError(PlannerAwayError):

@@ -6,28 +6,30 @@ The protocol has no identity: results are stored under the name that the user gi
 import sys
 from typing import Any, Final
 
+from benchmark.errors import InputError
 from benchmark.extensions.http.answers import ModelAnswer
-from benchmark.extensions.http.connection import ALIVE_S, HttpConnection, HttpReply, ServerHungUpError
+from benchmark.extensions.http.connection import HttpConnection, HttpReply, ServerHungUpError
 from benchmark.extensions.http.session import build_request
 from benchmark.extensions.http.values import AUTO, HttpImageFormat, NeuroncapHttpError
-from benchmark.machine.address import Address
-from benchmark.planning import Observation, Plan, PlanFrame, PlannerGoneError, PlannerLateError, SceneInfo
+from benchmark.machine.address import ALIVE_S, DEADLINE_S, RETURN_S, Address
+from benchmark.machine.extension import require_extra
+from benchmark.planning import (
+    ModelFailedError,
+    Observation,
+    Plan,
+    PlanFrame,
+    PlannerGoneError,
+    PlannerLateError,
+    SceneInfo,
+)
 from benchmark.untrusted.files import HTTP_ANSWER, to_one_line
 from benchmark.untrusted.text_files import parse_json
 
-DEADLINE_S: Final = 120.0
-"""Of one request."""
-RETURN_S: Final = 60.0
-"""So long is waited for a server that went away half-way: networks take long to load."""
 RESET_BODY: Final = b"{}"
 _OPTION: Final = "--model"
 _BUSY: Final = (408, 503, 504)
 _LEAST_ERROR: Final = 400
 _LEAST_FAILURE: Final = 500
-
-
-class ModelFailedError(Exception):
-    """The model behind the server answered no plan: it failed, and the sentence says how."""
 
 
 class HttpPlanner:
@@ -126,6 +128,7 @@ class HttpPlanner:
 
     def require_alive(self) -> None:
         """Refuse an address without a server; any answer to ``/alive`` will do, as for NeuroNCAP."""
+        require_extra("httpx2", "asking over HTTP", "serve")
         self._connection.get("/alive", ALIVE_S)
 
     @property
@@ -162,6 +165,8 @@ def http_planner(
     ``image_format`` is ``torch``, as NeuroNCAP sends pictures, ``png``, or ``auto``, which tries both; answers are in
     the frame ``ego``, as the protocol has it, or ``lidar``.
     """
+    if image_format not in (AUTO, *HttpImageFormat):
+        raise InputError(f"a model at http:// is sent torch, png or auto; --image-format {image_format} is for grpc://")
     form = None if image_format == AUTO else HttpImageFormat(image_format)
     return HttpPlanner(Address.of(address, _OPTION), form, deadline_s, PlanFrame(frame))
 

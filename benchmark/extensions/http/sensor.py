@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.errors import InputError
-from benchmark.extensions.http.connection import ALIVE_S, HttpConnection, HttpReply
+from benchmark.extensions.http.connection import HttpConnection, HttpReply
 from benchmark.extensions.http.requests import CAMERAS, encode_json, parse_body
 from benchmark.extensions.http.session import compute_camera_pose
 from benchmark.extensions.http.values import (
@@ -29,7 +29,7 @@ from benchmark.extensions.http.values import (
     read_member,
 )
 from benchmark.geometry import Floats, quaternion_from_yaw, transform_matrix
-from benchmark.machine.address import Address
+from benchmark.machine.address import ALIVE_S, Address
 from benchmark.planning import CameraView, PlannerGoneError, PlannerLateError
 from benchmark.scene import Camera, Scene
 from benchmark.untrusted.files import HTTP_ANSWER

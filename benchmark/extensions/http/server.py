@@ -19,9 +19,10 @@ from starlette.responses import Response
 from starlette.routing import Route
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from benchmark.extensions.http.listening import LOOPBACK, is_open_address, open_listening_socket
 from benchmark.extensions.http.requests import encode_json
 from benchmark.extensions.http.session import FAILED, PlannerSession, PlanRequestError
+from benchmark.machine.listening import LOOPBACK, is_open_address, open_listening_socket
+from benchmark.planning import Planner
 from benchmark.untrusted.files import HTTP_REQUEST, format_bytes, to_one_line
 
 _RESET_BYTES: Final = 64 * 1024
@@ -242,3 +243,16 @@ class PlannerServer:
     ) -> None:
         self._server.should_exit = True
         self._thread.join()
+
+
+def make_planner_server(
+    build: Callable[[], Planner],
+    host: str,
+    port: int,
+    *,
+    seed: int,
+    wants_images: bool,
+    accept_torch_tensors: bool = False,
+) -> PlannerServer:
+    """A server that listens; one planner serves all scenes, one after another, and pictures come with every request."""
+    return PlannerServer(PlannerSession(build(), tensors=accept_torch_tensors, seed=seed), host, port)

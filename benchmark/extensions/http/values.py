@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from benchmark.geometry import Floats
 from benchmark.untrusted.files import to_one_line
-from benchmark.untrusted.http_images import TensorRefusedError, decode_image
+from benchmark.untrusted.http_images import TensorRefusedError, decode_image, encode_picture
 
 FARTHEST_M: Final = 1e8
 """Of a position; maps end long before."""
@@ -104,16 +104,13 @@ AUTO: Final = "auto"
 
 def encode_image(pixels: NDArray[np.uint8], form: HttpImageFormat) -> str:
     """(height, width, 3) RGB as base64 in one line; ``torch`` is NeuroNCAP's form, a ``torch.save`` of the tensor."""
+    if form is HttpImageFormat.PNG:
+        return base64.b64encode(encode_picture(pixels, form)).decode("ascii")
+    import torch
+
     file = io.BytesIO()
-    if form is HttpImageFormat.TORCH:
-        import torch
-
-        # A copy: arrays from files are read-only, and torch warns of that.
-        torch.save(torch.from_numpy(np.array(pixels, order="C")), file)
-    else:
-        from PIL import Image
-
-        Image.fromarray(pixels).save(file, format="PNG", compress_level=1)
+    # A copy: arrays from files are read-only, and torch warns of that.
+    torch.save(torch.from_numpy(np.array(pixels, order="C")), file)
     return base64.b64encode(file.getvalue()).decode("ascii")
 
 

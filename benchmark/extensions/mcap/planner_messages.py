@@ -11,7 +11,9 @@ from benchmark.extensions.mcap.timeline import MAP, Primitives, Timeline
 from benchmark.geometry import Floats, quaternion_from_yaw
 from benchmark.machine.storage import sanitise_file_name
 from benchmark.records.drive_schema import EpisodeRow, ScoredContact
+from benchmark.records.fault import blames_ego
 from benchmark.records.row_schema import OutcomeRow, SampleRow
+from benchmark.report.fault_words import describe_fault
 from benchmark.report.palette import CONTACT, EGO
 from benchmark.report.placement import PlacedPlan, place_lidar, place_plan, place_waypoints
 from benchmark.scene import Scene
@@ -136,9 +138,9 @@ def _add_events(timeline: Timeline, make: Primitives, planner: str, row: SampleR
     contact, near = row.severity.contact, row.severity.near
     if contact is not None:
         whom = "the adversary" if contact.adversary else "another"
-        fault = {True: ", at fault", False: ", not at fault", None: ""}[contact.at_fault]
-        words = f"{planner}: plan touches {whom} in {contact.time_s:.1f} s ({contact.kind}{fault}; {contact.agent})"
-        level = "Warning" if contact.at_fault is False else "Error"
+        kind = f"{contact.kind}, {describe_fault(contact)}"
+        words = f"{planner}: plan touches {whom} in {contact.time_s:.1f} s ({kind}; {contact.agent})"
+        level = "Warning" if blames_ego(contact.fault) is False else "Error"
         timeline.add(time_us, "/log", make.log(time_us, level, words, JUDGE))
     elif near is not None and near.tet_s > 0:
         words = f"{planner}: near miss, {near.least_gap_m:.1f} m from the adversary"
@@ -201,6 +203,6 @@ def _add_driven_plans(
 
 def _describe_contact(planner: str, contact: ScoredContact) -> tuple[str, str]:
     whom = "the adversary" if contact.adversary else contact.category
-    fault = "at fault" if contact.at_fault else "not at fault"
-    words = f"{planner} touches {whom} ({contact.kind}, {fault}, {contact.impact_speed:.1f} m/s; {contact.agent})"
-    return "Error" if contact.at_fault else "Warning", words
+    kind = f"{contact.kind}, {describe_fault(contact)}"
+    words = f"{planner} touches {whom} ({kind}, {contact.impact_speed:.1f} m/s; {contact.agent})"
+    return "Error" if blames_ego(contact.fault) else "Warning", words

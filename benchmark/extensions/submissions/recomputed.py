@@ -180,11 +180,22 @@ def recompute_drives(record: DriveRecord, data: "DataSet") -> Iterator[GradedSen
 def _is_same_row(row: SampleRow, computed: SampleRow, protocols: Sequence[str]) -> bool:
     judged = {"outcomes", "disagreements", "driving", "place", "speed_m_s"}
     return (
-        row.model_dump(exclude=judged) == computed.model_dump(exclude=judged)
+        row.model_dump(exclude=judged) == _as_told(row, computed).model_dump(exclude=judged)
         and _has_same_circumstances(row, computed)
         and all(_is_same_verdict(row.outcomes.get(name), computed.outcomes.get(name)) for name in protocols)
         and all(row.disagreements.get(name) == computed.disagreements.get(name) for name in protocols)
     )
+
+
+def _as_told(claimed: SampleRow, computed: SampleRow) -> SampleRow:
+    """A row without fault where an older one does not say it."""
+    severity, said = computed.severity, claimed.severity
+    contacts = (one.contact for one in (severity, said) if one is not None)
+    mine, theirs = (*contacts, None, None)[:2]
+    if severity is None or mine is None or theirs is None or theirs.fault is not None:
+        return computed
+    without = severity.model_copy(update={"contact": mine.model_copy(update={"fault": None})})
+    return computed.model_copy(update={"severity": without})
 
 
 def _has_same_circumstances(claimed: SampleRow, computed: SampleRow) -> bool:

@@ -24,6 +24,7 @@ from benchmark.report.canvas import (
 from benchmark.report.captions import LegendEntry, draw_entry, draw_swatch
 from benchmark.report.cells import MINIATURE_WORDS
 from benchmark.report.episode_page import STRIP_S, EpisodePage, list_strip_steps, list_touches
+from benchmark.report.fault_words import describe_fault
 from benchmark.report.overlays import Overlay
 from benchmark.report.palette import (
     ADVERSARY,
@@ -226,12 +227,16 @@ class DriveFilm:
         over = frame >= driven.last
         since = driven.seconds[frame] - driven.seconds[driven.begins]
         passed = [touch for touch in row.passed if since >= touch.seconds]
-        lines = [f"touched by {sanitise_name(touch.category)}, not at fault: it is removed" for touch in passed[-1:]]
+        lines = [
+            line
+            for touch in passed[-1:]
+            for line in (f"touched by {sanitise_name(touch.category)}: it is removed", describe_fault(touch))
+        ]
         if row.contact is not None and self._describe_state(frame)[1]:
             whom = f"{row.contact.category}{', the adversary' if row.contact.adversary else ''}"
-            fault = "at fault" if row.contact.at_fault else "not at fault"
             return [
-                f"contact with {sanitise_name(whom)} ({fault})",
+                f"contact with {sanitise_name(whom)}",
+                describe_fault(row.contact),
                 f"impact {row.contact.impact_speed:.1f} m/s, delta-v {row.contact.delta_v_ego:.1f} m/s",
             ]
         if row.failure is not None and over:

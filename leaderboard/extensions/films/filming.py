@@ -224,7 +224,7 @@ def write_drive_film(
     parts = [driven.row.scene, name, facts.measured.engine, facts.measured.agents, facts.measured.sensor]
     parts += [f"{facts.measured.latency_ms}ms"] if facts.measured.latency_ms else []
     parts += [] if facts.measured.window == "scene" else [facts.measured.window]
-    parts += ["until-fault"] if facts.measured.until == "fault" else []
+    parts += facts.measured.until_words
     window = driven.row.window
     parts += ["as", window.of] if window is not None and window.of != driven.row.scene else []
     parts += [driven.row.family] if driven.row.family else []

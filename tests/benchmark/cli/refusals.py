@@ -237,17 +237,17 @@ _OF_EXTENSIONS: dict[str, tuple[tuple[str, str], ...]] = {
 }
 WRONG = (*MISTAKES, *_CORE, *(each for name, wrong in _OF_EXTENSIONS.items() if name not in ABSENT for each in wrong))
 _DRY: tuple[tuple[str, str], ...] = (
-    (f"eval --dry-run --model uniad --split adv {_OUT}", "run uniad-mini on 19 scenes of adv"),
+    (f"eval --dry-run --model uniad --split adv --data mini@1 {_OUT}", "run uniad-mini on 19 scenes of adv"),
     (
-        f"generate --dry-run --from mini-adv-1 --scenes scene-8000-1a46b7c9 {_OUT}",
+        f"generate --dry-run --from mini-adv-1 --data mini@1 --scenes scene-8000-1a46b7c9 {_OUT}",
         "build split adv from frozen split mini-adv-1, 1 scene;",
     ),
     (f"generate --dry-run --from {{empty}} {_OUT}", "build split adv from the edited scenes"),
-    (f"eval --dry-run --model idm --json {_OUT}", "run idm on 19 scenes of adv"),
-    (f"drive --dry-run --model idm --no-baselines {_OUT}", "drive idm through 19 scenes of adv"),
+    (f"eval --dry-run --model idm --data mini@1 --json {_OUT}", "run idm on 19 scenes of adv"),
+    (f"drive --dry-run --model idm --data mini@1 --no-baselines {_OUT}", "drive idm through 19 scenes of adv"),
     (f"sheets --dry-run --limit 2 --split val-r {_OUT}", "write sheets of 2 scenes of val-r"),
-    (f"quality --dry-run --masks boxes {_OUT}", "score 19 scenes of adv"),
-    (f"generate --dry-run --surrogate vad {_OUT}", "build split adv from 10 scenes"),
+    (f"quality --dry-run --masks boxes --data mini@1 {_OUT}", "score 19 scenes of adv"),
+    (f"generate --dry-run --surrogate vad --data mini@1 {_OUT}", "build split adv from 10 scenes"),
     (f"ablate --dry-run --scenes scene-8003 {_OUT}", "search 1 scene four times"),
 )
 DRY = tuple(each for each in _DRY if command_is_installed(each[0]))

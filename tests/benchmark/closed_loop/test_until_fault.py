@@ -16,6 +16,7 @@ from benchmark.errors import InputError
 from benchmark.planning import Planner
 from benchmark.records.drive_schema import ClosedLoopDefinition, EpisodeRow
 from benchmark.records.drives import compute_column_values, load_drives
+from benchmark.records.fault import blames_ego
 from benchmark.runs.drive_rows import build_episode_row
 from benchmark.runs.driving import DriveSettings, drive_split
 from benchmark.runs.redriving import redrive_and_score
@@ -24,7 +25,8 @@ from tests.benchmark.closed_loop.staged import Peeking, Watching, staged
 from tests.benchmark.fake_data import FakeData
 from tests.hand_made import Car, scene_on_straight_road
 
-FAULT = DefaultBackend(until="fault")
+FAULT = DefaultBackend(until="fault@1")
+BY_NUPLAN = DefaultBackend(until="fault@nuplan")
 BEHIND = Car(20.0, 198.25, 12.0)
 """Runs into whoever is slower."""
 STANDING = Car(110.0, 198.25, 0.0)
@@ -68,7 +70,7 @@ def test_planners_see_nobody_who_is_gone() -> None:
 def test_ones_own_fault_ends_the_drive_whoever_came_before() -> None:
     found, scores = driven(road(BEHIND, STANDING, seconds=16.0), Watching(speed=6.0))
     assert [each.kind for each in scores.passed] == ["rear"]
-    assert found.end == "contact" and scores.contact is not None and scores.contact.at_fault
+    assert found.end == "contact" and scores.contact is not None and blames_ego(scores.contact.fault)
     assert scores.contact.kind == "stopped_track" and scores.contact.seconds > scores.passed[0].seconds
     assert scores.nuplan is not None and scores.nuplan.nc == 0.0
 
@@ -77,8 +79,8 @@ def test_of_two_at_once_the_fault_counts() -> None:
     # Both reach the ego's ends in the same twentieth of a second.
     scene = road(Car(58.0 - 0.910 - 2.3 - 6.0 * 4.0, 198.25, 12.0), Car(58.0 + 3.432 + 2.3 + 6.0 * 4.0, 198.25, 0.0))
     _, scores = driven(scene, Watching(speed=6.0))
-    assert scores.contact is not None and scores.contact.at_fault
-    assert all(not each.at_fault for each in scores.passed)
+    assert scores.contact is not None and blames_ego(scores.contact.fault)
+    assert not any(blames_ego(each.fault) for each in scores.passed)
 
 
 @settings(max_examples=4, deadline=None)
@@ -86,13 +88,15 @@ def test_of_two_at_once_the_fault_counts() -> None:
 def test_the_engine_blames_as_the_scores_do(x: float, y: float, speed: float, left: float) -> None:
     scene = road(Car(x, y, speed))
     ended, before = driven(scene, Watching(speed=7.0, left=left), DefaultBackend())
-    found, scores = driven(scene, Watching(speed=7.0, left=left))
-    assert all(not each.at_fault for each in scores.passed)
-    assert scores.contact is None or scores.contact.at_fault
-    first = scores.passed[0] if scores.passed else scores.contact
-    assert first == before.contact
-    if before.contact is None or before.contact.at_fault:
-        assert found.end == ended.end and np.array_equal(found.motion.ego, ended.motion.ego)
+    rules = {FAULT: lambda each: blames_ego(each.fault), BY_NUPLAN: lambda each: each.at_fault}
+    for maker, blames in rules.items():
+        found, scores = driven(scene, Watching(speed=7.0, left=left), maker)
+        assert not any(blames(each) for each in scores.passed)
+        assert scores.contact is None or blames(scores.contact)
+        first = scores.passed[0] if scores.passed else scores.contact
+        assert first == before.contact
+        if before.contact is None or blames(before.contact):
+            assert found.end == ended.end and np.array_equal(found.motion.ego, ended.motion.ego)
 
 
 def test_the_row_says_both_and_drives_again_to_the_same() -> None:
@@ -107,7 +111,7 @@ def test_the_row_says_both_and_drives_again_to_the_same() -> None:
     assert redrive_and_score(FAULT, scene, FakeData({scene.name: scene}), row) == row
     with pytest.raises(InputError, match="give another"):
         redrive_and_score(DefaultBackend(), scene, FakeData({scene.name: scene}), row)
-    blamed = {**asdict(row.passed[0]), "at_fault": True}
+    blamed = {**asdict(row.passed[0]), "at_fault": True, "fault": {"verdict": "ego", "reason": "rear-end"}}
     with pytest.raises(ValueError, match="ends a drive"):
         EpisodeRow.model_validate({**row.model_dump(), "passed": [blamed]})
 
@@ -115,15 +119,15 @@ def test_the_row_says_both_and_drives_again_to_the_same() -> None:
 def test_records_say_what_ended_their_drives_and_lie_apart(tmp_path: Path) -> None:
     data = FakeData({"scene-9901": road(BEHIND)})
     records = {}
-    for until in ("contact", "fault"):
+    for until in ("contact", "fault@1"):
         how = DriveSettings("default", make_backend("default", until=until))
         records[until] = drive_split(data, "val", Watching(speed=6.0), tmp_path, how)
-    assert records["contact"].directory != records["fault"].directory
-    assert records["fault"].facts.measured.world.endswith(", until fault")
+    assert records["contact"].directory != records["fault@1"].directory
+    assert records["fault@1"].facts.measured.world.endswith(", until fault@1")
     assert "until" not in (records["contact"].directory / "drive.json").read_text()
     assert "passed" not in (records["contact"].directory / "drives.jsonl").read_text()
-    again = load_drives(records["fault"].directory)
-    assert again == records["fault"] and restore_backend(again.facts.measured) == FAULT
+    again = load_drives(records["fault@1"].directory)
+    assert again == records["fault@1"] and restore_backend(again.facts.measured) == FAULT
     assert again.rows[0].end == "end" and records["contact"].rows[0].end == "contact"
 
 
@@ -132,8 +136,10 @@ def test_what_there_is_not_is_refused() -> None:
         make_backend("default", until="faults")
     with pytest.raises(InputError, match="every collision ends a run"):
         make_backend("neuroncap@code", until="fault")
-    said = ClosedLoopDefinition(engine="default", agents="replay", sensor="none", until="fault")
+    said = ClosedLoopDefinition(engine="default", agents="replay", sensor="none", until="fault@1")
     assert restore_backend(said) == FAULT
+    older = said.model_copy(update={"until": "fault"})
+    assert restore_backend(older) == BY_NUPLAN and older.world.endswith(", until fault@nuplan")
 
 
 def test_many_together_are_each_as_alone() -> None:

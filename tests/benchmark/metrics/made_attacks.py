@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
+from benchmark.records.fault import StoredFault
 from benchmark.records.row_schema import PlanCollision, PlanNearRow, PlanSeverityRow
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import SceneFacts
@@ -18,21 +19,24 @@ from benchmark.records.scene_assessment import (
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, UNCOUNTED, hand_made
 from tests.benchmark.records.made_judgements import hits, made_judgement
 
-_CONTACTS: dict[str, tuple[KindName, bool | None, float, bool]] = {
-    # kind, at fault, impact speed, adversary
-    "f": ("front", True, 10.0, True),
-    "F": ("front", True, 20.0, False),
-    "r": ("rear", False, 4.0, True),
-    "s": ("lateral", None, 2.0, True),
+_CONTACTS: dict[str, tuple[KindName, str | None, float, bool]] = {
+    # kind, whose fault, impact speed, adversary
+    "f": ("front", "ego", 10.0, True),
+    "F": ("front", "ego", 20.0, False),
+    "r": ("rear", "other", 4.0, True),
+    "s": ("lateral", "shared", 2.0, True),
+    "u": ("lateral", "unclear", 2.0, True),
+    "?": ("front", None, 2.0, True),
 }
 _FLAGS = {".": CLEAN, "!": FAILED, "-": UNCOUNTED}
 
 
 def contact(letter: str) -> PlanSeverityRow:
-    """A sample that touches somebody: f and F in front, r from behind, s at the side without a map."""
-    kind, blamed, speed, adversary = _CONTACTS[letter]
+    """A sample that touches somebody: f, F at its fault, r not, s shared, u unclear, ? as older records say it."""
+    kind, verdict, speed, adversary = _CONTACTS[letter]
+    fault = None if verdict is None else StoredFault.model_validate({"verdict": verdict, "reason": "lane-change"})
     hit = PlanCollision(
-        time_s=1.3, kind=kind, at_fault=blamed, impact_speed_m_s=speed,
+        time_s=1.3, kind=kind, at_fault=kind == "front", fault=fault, impact_speed_m_s=speed,
         delta_v_ego_m_s=0.5 * speed, delta_v_other_m_s=0.4 * speed,
         fatal_probability=min((0.5 * speed / 31.74) ** 4, 1.0), agent="a" if adversary else "b", adversary=adversary,
     )  # fmt: skip

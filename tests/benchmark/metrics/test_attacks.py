@@ -45,19 +45,28 @@ def test_three_readings_of_samples_and_of_scenes() -> None:
     assert (found.judged, found.spared, found.unknown_fault) == (3, 2, 0)
 
 
+def test_shared_and_unclear_fault_are_nobody_s_attack() -> None:
+    found = compute_attack_rates(attacked("p", {"a": "su..", "b": "sf.r"}, {"a": True, "b": True}))
+    assert (found.shared.numerator, found.unclear.numerator, found.shared.denominator) == (2, 1, 8)
+    assert (found.samples["contact"].numerator, found.samples["at_fault"].numerator) == (5, 1)
+    assert found.scenes["at_fault"].value == found.scenes["attributable"].value == 0.5
+
+
 def test_what_is_unknown_in_a_scene_makes_it_unknown_unless_something_is_found() -> None:
-    record = attacked("p", {"a": "s...", "b": "sf..", "c": "!...", "d": "!f.."}, dict.fromkeys("abcd", True))
+    record = attacked("p", {"a": "?...", "b": "?f..", "c": "!...", "d": "!f.."}, dict.fromkeys("abcd", True))
     verdicts = {scene: tuple(attack.verdicts.values()) for scene, attack in collect_scene_attacks(record).items()}
     assert list(collect_scene_attacks(record)["a"].verdicts) == ["contact", "at_fault", "attributable"]
     unknown, found_there = (None, None, None), (True, True, True)
     assert verdicts == {"a": (True, None, None), "b": found_there, "c": unknown, "d": found_there}
     found = compute_attack_rates(record)
-    assert (found.scenes["at_fault"].numerator, found.scenes["at_fault"].denominator) == (2, 2)
-    assert found.unknown_fault == 2 and found.samples["at_fault"].denominator == 12
+    # A record that does not say of all its contacts whose fault they are has no rate of it.
+    assert found.unknown_fault == 2 and found.samples["contact"].denominator == 14
+    told = (*found.samples.values(), *found.scenes.values(), found.shared, found.unclear)
+    assert [rate.value is None for rate in told] == [False, True, True, False, True, True, True, True]
 
 
 def test_where_the_careful_human_fares_no_better_nothing_is_attributed() -> None:
-    record = attacked("p", {"a": "s...", "b": "!f..", "c": "!!!!"}, dict.fromkeys("abc", False))
+    record = attacked("p", {"a": "?...", "b": "!f..", "c": "!!!!"}, dict.fromkeys("abc", False))
     verdicts = [attack.verdicts["attributable"] for attack in collect_scene_attacks(record).values()]
     assert verdicts == [False, False, None]
 
@@ -91,12 +100,12 @@ def test_older_records_do_not_say_how_severe_plans_are_and_others_may_judge_noth
 def test_distributions_over_contacts_and_near_passes() -> None:
     record = attacked("p", {"a": "fFr.", "b": "..-s", "c": "!..."}, dict.fromkeys("abc", True))
     found = summarise_contacts(record)
-    assert (found.samples, found.at_fault) == (3, 1)
+    assert (found.samples, found.faults) == (3, {"ego": 1, "other": 1, "shared": 1})
     assert found.kinds == {"front": 1, "rear": 1, "lateral": 1}
     assert found.impact_speed.median == 4.0 and found.impact_speed.worst_tenth == 10.0
     assert found.most_fatal == pytest.approx((5.0 / 31.74) ** 4)
     others = summarise_contacts(record, bystanders=True)
-    assert (others.samples, others.at_fault, others.kinds) == (1, 1, {"front": 1})
+    assert (others.samples, others.faults, others.kinds) == (1, {"ego": 1}, {"front": 1})
     assert others.impact_speed.median == 20.0 and others.most_fatal == pytest.approx((10.0 / 31.74) ** 4)
     passes = summarise_near_passes(record)
     assert passes.samples == 6 and passes.ttc.samples == 5 and passes.ttc.worst_tenth == 1.0

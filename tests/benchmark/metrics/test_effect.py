@@ -23,7 +23,7 @@ from tests.benchmark.metrics.made_attacks import attacked, told
 
 ADVERSARIAL = {"A-1": "f...", "A-2": "ff..", "B-1": "F..f"}
 UNCHANGED = {"A": "....", "B": "F..."}
-"""f: touches the adversary, F: a bystander, .: nothing; the worked example of docs/metrics.md."""
+"""f: touches the adversary, F: a bystander, .: nothing; worked by hand."""
 
 
 def ran(scenes: Mapping[str, str], split: str = "adv") -> RunRecord:

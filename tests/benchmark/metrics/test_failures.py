@@ -13,8 +13,8 @@ from tests.benchmark.metrics.test_loops import drives
 from tests.benchmark.records.test_drives import contact, failed, row
 from tests.hand_made import Car, scene_on_straight_road
 
-SCENES = {"A-1": "F.r.", "A-2": "..!s", "B-1": "f-..", "C-1": "...."}
-"""f: touches the adversary at fault, s: of unknown fault, r: is run into by it, F: touches a bystander, !: raised."""
+SCENES = {"A-1": "F.r.", "A-2": "..!?", "B-1": "f-..", "C-1": "...."}
+"""f: touches the adversary at fault, ?: of unknown fault, r: is run into by it, F: touches a bystander, !: raised."""
 
 
 def ran(scenes: dict[str, str] = SCENES) -> RunRecord:

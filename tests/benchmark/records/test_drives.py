@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from benchmark.closed_loop.scoring import VERSION
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_sha256
 from benchmark.records.drive_schema import SCHEMA, ClosedLoopDefinition, EpisodeRow
@@ -44,8 +45,11 @@ def scores(route: float | None = 0.5, **changes: Any) -> dict[str, Any]:
     return {**made, **changes}
 
 
-def contact(at_fault: bool = True) -> dict[str, Any]:
+def contact(at_fault: bool = True, verdict: str | None = "") -> dict[str, Any]:
+    """Verdicts of both rules are the same but where one is given; ``None`` is an older record's."""
+    verdict = ("ego" if at_fault else "other") if verdict == "" else verdict
     return {
+        "fault": None if verdict is None else {"verdict": verdict, "reason": "lane-change"},
         **{"seconds": 0.3, "agent": "a", "category": "vehicle.car", "adversary": True, "kind": "front"},
         **{"at_fault": at_fault, "impact_speed": 5.0, "delta_v_ego": 2.5, "delta_v_other": 2.5},
     }
@@ -62,7 +66,7 @@ def facts(**changes: Any) -> dict[str, Any]:
         "data": {"name": "fake", "version": "v1", "fingerprint": "f" * 64},
         **{"split": "adv", "scenes": ["scene-1", "scene-2"], "scenes_in_split": 2, "scene_facts": {}},
         "measured": {"engine": "default", "agents": "replay", "sensor": "none"},
-        **{"runs": 1, "scoring": 1, "config": {}, "environment": {}},
+        **{"runs": 1, "scoring": VERSION, "config": {}, "environment": {}},
     }
     return {**made, **changes}
 
@@ -117,7 +121,22 @@ def test_what_says_nothing_is_no_zero() -> None:
     careful = {"cc": {"survives": True}}
     blameless = compute_column_values(row(end="contact", contact=contact(at_fault=False), ladder=careful))
     assert blameless["attributable"] == blameless["bystander"] == 0.0
+    older = compute_column_values(row(end="contact", contact=contact(verdict=None), ladder=careful))
+    assert older["attributable"] is older["at_fault"] is None and older["at_fault_nuplan"] == older["contact"] == 1.0
     assert summary.columns["contact"].value == 0.5 and summary.columns["route"].denominator == 1
+
+
+def test_whose_fault_contacts_are_is_a_column_each() -> None:
+    verdicts = ("ego", "other", "shared", "unclear")
+    hits = [row(f"scene-{name}", end="contact", contact=contact(verdict=name)) for name in verdicts]
+    columns = summarise_episodes([*hits, row("scene-2")], {}, seed=0).columns
+    assert [columns[name].value for name in ("at_fault", "shared_fault", "unclear_fault")] == [0.2, 0.2, 0.2]
+    assert columns["at_fault_nuplan"].value == 0.8
+    # Where one does not say it, a rate of the rest would be wrong.
+    older = [*hits, row("scene-3", end="contact", contact=contact(verdict=None))]
+    columns = summarise_episodes(older, {}, seed=0).columns
+    assert columns["at_fault"].value is columns["shared_fault"].value is None
+    assert columns["at_fault_nuplan"].value == columns["contact"].value == 1.0
 
 
 def test_intervals_draw_recordings_and_not_what_was_made_from_them() -> None:

@@ -34,7 +34,7 @@ class Known(SceneReading):
 
     def __init__(self, truths: Sequence[SampleTruth], scene: Scene | None = None) -> None:
         self.truth = tuple(truths)
-        self.mapped = scene
+        self.mapped = self.recording = scene
         self.around = tuple(SampleContext(PlaceKind.BEND, 0.0) for _ in truths)
 
 
@@ -133,6 +133,8 @@ def test_plans_are_severe_where_they_touch_somebody(rows: Rows, truths: Truths) 
         # The ego runs into a slow leader at 8 m/s.
         assert row.severity.contact.kind == "front" and row.severity.contact.impact_speed_m_s == pytest.approx(6.0)
         assert row.severity.contact.at_fault is True and row.severity.near is None
+        fault = row.severity.contact.fault
+        assert fault is not None and (fault.verdict, fault.reason) == ("ego", "rear-end")
 
 
 def test_who_comes_from_the_side_is_nobodys_fault_without_a_map(tmp_path: Any) -> None:
@@ -144,6 +146,9 @@ def test_who_comes_from_the_side_is_nobodys_fault_without_a_map(tmp_path: Any) -
         judged = judge(made, data.truth("side"), ("exact",), scene=scene)
         contacts = [row.severity.contact for row in judged if row.severity is not None and row.severity.contact]
         found[scene is None] = [contact.at_fault for contact in contacts if contact.kind == "lateral"]
+        if scene is not None:
+            told = {contact.fault and (contact.fault.verdict, contact.fault.reason) for contact in contacts}
+            assert told == {("other", "lane-change")}
     assert found[True] and set(found[True]) == {None} and set(found[False]) == {False}
 
 

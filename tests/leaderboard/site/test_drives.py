@@ -88,11 +88,11 @@ def test_a_script_holds_the_drive_and_nothing_of_others_that_answered(site: Site
 def test_whoever_touched_the_ego_without_its_fault_is_shown_until_it_is_gone(site: Site, tmp_path: Path) -> None:
     sheet = first_sheet(site)
     agent = next(each for each in sheet.agents if each.first == 0 and len(each.x_m) > 40)
-    touch = {**contact(), "seconds": 0.8, "agent": agent.id, "at_fault": False}
-    measured = {"engine": "default", "agents": "replay", "sensor": "none", "until": "fault"}
+    touch = {**contact(at_fault=False), "seconds": 0.8, "agent": agent.id}
+    measured = {"engine": "default", "agents": "replay", "sensor": "none", "until": "fault@1"}
     driven = drive_of(tmp_path, sheet, end="end", contact=None, passed=[touch], measured=measured)
     (said,) = build_drive_index([driven], site.sheets)
-    assert "until fault" in said["measured"] and EVERYBODY in said["note"] and said["outcome"] == "no contact"
+    assert "until fault@1" in said["measured"] and EVERYBODY in said["note"] and said["outcome"] == "no contact"
     drive = value_of(build_drive_files([driven], site.sheets)[f"data/scenes/{said['key']}.js"])
     shown = {each["id"]: each for each in drive["agents"]}
     assert len(shown) == len(sheet.agents)
@@ -223,7 +223,7 @@ def test_a_drive_around_an_encounter_opens_there_and_marks_the_adversary_from_it
     assert drive["opens"] == pytest.approx(1.0)
     kinds = [kind for kind, *_ in drive["strip"]]
     assert kinds == ["ttc", "ttc", "touch cp-touch-adversary"] and "height:50%" in drive["strip"][0][1]
-    assert "touches the adversary, at fault at 2.3 s" in drive["strip"][2][2]
+    assert "at 2.3 s touches the adversary, at fault: changed lane" in drive["strip"][2][2]
     before, after = drive["agents"]
     assert (before["id"], before["adversary"]) == (after["id"], False) and after["adversary"]
     assert before["first"] + before["count"] == after["first"]

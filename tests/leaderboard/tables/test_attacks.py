@@ -41,13 +41,20 @@ def test_attack_success_is_that_of_the_metric_with_its_counts() -> None:
     bold, calm = row_of(table, "bold"), row_of(table, "calm")
     rates = compute_attack_rates(runs[0])
     assert bold["attributable"] == f"{100 * (rates.samples['attributable'].value or 0):.1f}"
-    # Nobody judged scene c, and whose fault the contact in d is nobody can tell.
+    # Nobody judged scene c, and the sample that failed in d might have shown anything.
     assert bold["attributable, scenes"] == "50.0" and bold["at fault, scenes"] == "66.7"
     assert bold["contact, scenes"] == "75.0" and bold["bystander, scenes"] == "25.0"
     assert (bold["judged"], bold["careful survives"], bold["scenes"]) == ("3", "2", "4")
     assert calm["contact, scenes"] == calm["attributable, scenes"] == "0.0"
     assert any("3 of 4 scenes were assessed: attributable covers only these" in note for note in table.notes)
-    assert any(note.startswith("bold on adv: 1 contact at the ego's sides") for note in table.notes)
+    assert (bold["shared"], bold["unclear"]) == ("6.7", "0.0")
+    older = named(attack_tables(DataSetRuns("d", [attacked("old", {**SCENES, "d": "?!.."}, CAREFUL)])))
+    told = row_of(older["attack-success"], "old")
+    assert (
+        told["at fault, scenes"] == told["attributable"] == told["shared"] == "–" and told["contact, scenes"] == "75.0"
+    )
+    assert any("old on adv: the record does not say whose fault" in note for note in older["attack-success"].notes)
+    assert row_of(older["severity-contacts"], "old")["at fault %"] == "–"
 
 
 def test_without_judgements_attributable_is_a_dash_and_never_a_zero() -> None:

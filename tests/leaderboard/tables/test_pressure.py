@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmark.records.drive_schema import EpisodeRow
-from benchmark.records.drives import BYSTANDER, DriveRecord, compute_columns
+from benchmark.records.drives import AT_FAULT_NUPLAN, BYSTANDER, SHARED, UNCLEAR, DriveRecord, compute_columns
 from leaderboard.tables.drives import drive_tables
 from leaderboard.tables.pressure import group_by_pressure, pressure_tables
 from tests.benchmark.records.test_drives import contact, row, written
@@ -70,7 +70,8 @@ def test_who_runs_into_a_bystander_fails_to_nobody_s_pressure(tmp_path: Path) ->
 
 def test_an_older_summary_counts_anew_whom_contacts_are_with(tmp_path: Path) -> None:
     made = written(tmp_path / "made", *drives(SURVIVED, SURVIVED, adversary=False), measured=measured())
-    columns = {name: rate for name, rate in made.summary.columns.items() if name != BYSTANDER}
+    new = (BYSTANDER, SHARED, UNCLEAR, AT_FAULT_NUPLAN)
+    columns = {name: rate for name, rate in made.summary.columns.items() if name not in new}
     columns["attributable"] = made.summary.columns["at_fault"]
     old = replace(made, summary=made.summary.model_copy(update={"columns": columns}))
     assert compute_columns(old) == made.summary.columns == compute_columns(made)
@@ -95,5 +96,16 @@ def test_transfer_counts_what_the_source_failed(tmp_path: Path) -> None:
     hit = written(tmp_path / "hit", *drives(None, None), planner={**other, "name": "third"}, measured=world)
     (table,) = pressure_tables([source, safe, hit])
     assert dict(zip(table.columns, table.rows[0]))["third"] == "100.0"
+    # Whose fault contacts are an older record does not say.
+    rows = [each.model_dump(mode="json") for each in drives(SURVIVED, SURVIVED)]
+    rows[0]["contact"]["fault"] = None
+    older = written(tmp_path / "older", *map(EpisodeRow.model_validate, rows), measured=measured())
+    against = {**measured(), "agents_facts": {**given, "record": older.content_id}}
+    beside = written(tmp_path / "beside", row("scene-1"), row("scene-2"), planner=other, measured=against)
+    (table,) = pressure_tables([older, beside])
+    assert dict(zip(table.columns, table.rows[0])) == {
+        "planned against": "made",
+        **dict.fromkeys(("fails", "made", "other"), "–"),
+    }
     # Tracks of a record that is not there say nothing.
     assert not pressure_tables([safe])

@@ -2,23 +2,21 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-import benchmark
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.extensions.challenge.checking import check_entry
 from benchmark.extensions.challenge.rules import RULE_SETS
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import build_split
 from generation.search.presets import PRESETS, Preset, build_hyper_parameters
-from generation.sources.mini import TownSettings
 from generation.splits.building import build_frozen
 from generation.splits.packaged import NamedSplit, read_frozen_split
 from tests.generation.labels.recorded_roads import CHEAP
+from tests.generation.sources.first_towns import FIRST_SPLITS, write_first_town
 from tests.generation.splits.frozen_files import recordings
 
 
@@ -50,12 +48,10 @@ def test_no_entry_of_a_preset_is_refused(preset: Preset, road: DataSet, tmp_path
 
 @pytest.fixture(scope="module")
 def town(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
-    root = tmp_path_factory.mktemp("town")
-    benchmark.build_town(root, partial(TownSettings, val_scenes=1, images=False)(), workers=1)
-    return open_data(root)
+    return write_first_town(tmp_path_factory.mktemp("town"), 0)
 
 
-@pytest.mark.parametrize("name", at_night(("mini-adv-1", "mini-adv-2", "mini-adv-3"), "mini-adv-2"))
+@pytest.mark.parametrize("name", at_night(FIRST_SPLITS, "mini-adv-2"))
 def test_no_scene_of_a_packaged_split_is_refused(name: str, town: DataSet, tmp_path: Path) -> None:
     packaged = read_frozen_split(name)
     few = [scene for scene in packaged.frozen.scenes if scene.source in town.scene_names(None)]

@@ -18,9 +18,10 @@ from benchmark.planning import SceneInfo
 from benchmark.records.drives import load_drives
 from generation.sources.mini import TownSettings, build_town_data_set
 from tests.benchmark.cli.in_process import run_here
+from tests.benchmark.closed_loop.seeing import Looking, Painted, small_scene
 from tests.benchmark.closed_loop.staged import staged
-from tests.benchmark.extensions.http.made import Looking, Painted, observed, scripted, serving
-from tests.benchmark.extensions.http.test_sensor import Renderer, small_scene
+from tests.benchmark.extensions.http.made import observed, scripted, serving
+from tests.benchmark.extensions.http.test_sensor import Renderer
 from tests.generation.nuscenes_writer.written_roots import SIZE, write_root
 from tests.hand_made import scene_on_straight_road
 

@@ -29,17 +29,9 @@ from benchmark.records.drives import DriveRecord, load_drives
 from benchmark.records.neuroncap_aggregate import NeuroncapSwitches
 from benchmark.runs.driving import DriveSettings, drive_split
 from generation.render.sensor import SchematicSensor
+from tests.benchmark.closed_loop.seeing import Looking, Painted, picture, small_cameras
 from tests.benchmark.closed_loop.staged import staged
-from tests.benchmark.extensions.http.made import (
-    Looking,
-    Painted,
-    Reply,
-    free_port,
-    picture,
-    scripted,
-    serving,
-    small_cameras,
-)  # fmt: skip
+from tests.benchmark.extensions.http.made import Reply, free_port, scripted, serving
 from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.hand_made import Car, scene_on_straight_road
 

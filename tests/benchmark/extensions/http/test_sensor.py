@@ -27,14 +27,9 @@ from benchmark.geometry import transform_matrix
 from benchmark.machine.address import Address
 from benchmark.planning import PlannerGoneError
 from benchmark.scene import Scene
+from tests.benchmark.closed_loop.seeing import Looking, picture, small_scene
 from tests.benchmark.closed_loop.staged import staged
-from tests.benchmark.extensions.http.made import SHARED, Looking, Reply, free_port, picture, scripted, small_cameras
-from tests.hand_made import Car, scene_on_straight_road
-
-
-def small_scene() -> Scene:
-    scene = scene_on_straight_road((Car(95.0, 198.25, 2.0), Car(60.0, 194.75, 10.0)), seconds=6.0)
-    return replace(scene, cameras=small_cameras())
+from tests.benchmark.extensions.http.made import SHARED, Reply, free_port, scripted
 
 
 @dataclass

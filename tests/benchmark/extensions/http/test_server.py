@@ -16,7 +16,8 @@ from benchmark.extensions.http.server import PlannerServer, RequestBounds
 from benchmark.extensions.http.session import PlannerSession, build_request
 from benchmark.extensions.http.values import HttpImageFormat
 from benchmark.planning import Observation, Plan
-from tests.benchmark.extensions.http.made import Looking, observed
+from tests.benchmark.closed_loop.seeing import Looking
+from tests.benchmark.extensions.http.made import observed
 from tests.benchmark.extensions.http.malformed import answered, malformed, posted
 
 

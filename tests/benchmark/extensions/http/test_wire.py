@@ -22,7 +22,8 @@ from benchmark.pdm.plan_motion import plan_to_poses
 from benchmark.planning import Command, Forecasts, Observation, Plan, PlanFrame, SceneInfo
 from tests.benchmark.cli.cli_runs import refusal
 from tests.benchmark.cli.test_supervised_planners import MORTAL
-from tests.benchmark.extensions.http.made import SHARED, START_US, Looking, observed, picture
+from tests.benchmark.closed_loop.seeing import Looking, picture
+from tests.benchmark.extensions.http.made import SHARED, START_US, observed
 from tests.benchmark.planners import Remembering
 
 
@@ -394,23 +395,6 @@ def test_a_planner_that_fails_is_a_sentence_and_the_next_is_answered(
     assert "Traceback" not in capsys.readouterr().err
     planner.fault = ""
     session.infer(body(1))
-
-
-def test_who_sees_more_than_the_wire_has_is_not_served() -> None:
-    from adapters.registry import build_planner
-
-    for name in ("idm", "log-replay", "constant-velocity-on-path"):
-        with pytest.raises(InputError, match="which requests do not carry"):
-            PlannerSession(build_planner(name))
-
-    class Continuous(Looking):
-        memory_crosses_scenes = True
-
-        def begin_run(self) -> None:
-            pass
-
-    with pytest.raises(InputError, match="keeps state across scenes"):
-        PlannerSession(Continuous())
 
 
 class Recorded(Looking):

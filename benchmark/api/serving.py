@@ -1,0 +1,103 @@
+"""Implementation of ``serve``: a planner is built here, and the protocol's extension answers with it."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from benchmark.api.planners import find_runnable_model
+from benchmark.errors import InputError
+
+if TYPE_CHECKING:
+    from benchmark.machine.listening import PlannerService, ServingProtocol
+    from benchmark.planning import Planner
+    from benchmark.sandbox.limits import SandboxLimits
+
+
+def find_serving_protocol(name: str) -> "ServingProtocol":
+    """A protocol by its name; `InputError` where its extension or its packages are not installed."""
+    from benchmark.machine.extension import import_from_extension, require_extra
+
+    protocol: ServingProtocol = import_from_extension("protocol", name)()
+    for package in protocol.packages:
+        require_extra(package, "serving", protocol.extra)
+    return protocol
+
+
+def serve_planner(
+    name: str,
+    checkpoint: Path | None = None,
+    *,
+    protocol: str = "neuroncap",
+    host: str | None = "127.0.0.1",
+    port: int | None = 0,
+    accept_torch_tensors: bool = False,
+    device: str | None = None,
+    precision: str | None = None,
+    seed: int = 0,
+    supervision: "SandboxLimits | None" = None,
+    options: Mapping[str, Any] | None = None,
+) -> "PlannerService":
+    """A planner as a model server for NeuroNCAP, AlpaSim, or other clients of their protocols.
+
+    Args:
+        name: Planner name or ``package.module:Class``; no miniature stands in for a model without weights.
+        checkpoint: Its weights, if not its own.
+        protocol: ``neuroncap`` or ``alpasim``.
+        host: Where to listen; this machine alone by default, and for ``None`` what is usual for the protocol.
+        port: Where; 0 takes a free one, ``None`` what is usual for the protocol.
+        accept_torch_tensors: Whether pictures may be saved tensors, which are pickles; ``neuroncap`` alone has them.
+        device: Where a network runs.
+        precision: Of a network.
+        seed: For planners that take one.
+        supervision: Limits of a planner of another package, which runs in a process of its own (docs/planners.md).
+        options: Values of the protocol's own options.
+
+    Returns:
+        It listens; ``with`` answers in a thread, `serve` until interrupted.
+
+    Raises:
+        InputError: If the planner cannot be built or wants what is not on the wire, or the port is taken.
+    """
+    from adapters.models import MODELS
+    from adapters.planners.names import is_third_party
+    from adapters.registry import build_planner, planner_factory
+    from benchmark.machine.address import is_address
+    from benchmark.machine.metering import disable_malloc_trim_for
+
+    if is_address(name):
+        raise InputError(f"{name} is a server already; serve a planner by its name")
+    own = dict(options or {})
+    if accept_torch_tensors:
+        own["accept_torch_tensors"] = True
+    found = find_serving_protocol(protocol)
+    runs = find_runnable_model(name, checkpoint, data="")
+
+    def build() -> "Planner":
+        built: Planner
+        if is_third_party(runs):
+            built = planner_factory(
+                runs, checkpoint=checkpoint, seed=seed, device=device, precision=precision, supervision=supervision
+            )()
+        else:
+            built = build_planner(runs, checkpoint=checkpoint, seed=seed, device=device, precision=precision)
+        disable_malloc_trim_for(getattr(built, "weights_sha256", None))
+        require_servable(built)
+        return built
+
+    own["wants_images"] = runs in MODELS and not MODELS[runs].blind
+    server: PlannerService = found.make(build, *found.find_address(host, port), seed=seed, **own)
+    return server
+
+
+def require_servable(planner: "Planner") -> None:
+    """Refuse planners that want what no request carries, or remember beyond a scene."""
+    from benchmark.closed_loop.route import RouteFollower
+    from benchmark.planning import PrivilegedPlanner, remembers_across_scenes
+
+    if isinstance(planner, PrivilegedPlanner | RouteFollower):
+        raise InputError(
+            f"{planner.name} sees boxes, the map or the recorded path, which requests do not carry; serve a planner "
+            "that uses sensors only"
+        )
+    if remembers_across_scenes(planner):
+        raise InputError(f"{planner.name} keeps state across scenes, but each scene on the wire begins anew")

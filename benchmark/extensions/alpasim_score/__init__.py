@@ -1,0 +1,1 @@
+"""AlpaSim's scene score of stored drives, under the rules of July and of September 2026."""

@@ -1,0 +1,1 @@
+"""AlpaSim's scene score in the tables of drives."""
