@@ -65,11 +65,14 @@ def _add_road_works(world: TownWorld, pose: Floats, rng: np.random.Generator) ->
 def add_walkers(world: TownWorld, near: Floats, rng: np.random.Generator, *, wanted: int) -> None:
     """Pedestrians on the pavements near the (K, 2) points of the ego's way, some of them standing."""
     added = 0
-    for _ in range(6 * wanted):
+    reach = np.concatenate([near.min(axis=0) - _WALK_REACH_M, near.max(axis=0) + _WALK_REACH_M])
+    walks = [walk for walk in world.town.walks if ((walk > reach[:2]) & (walk < reach[2:])).all(axis=1).any()]
+    lengths = np.array([compute_lengths(walk)[-1] for walk in walks])
+    for _ in range(12 * wanted if walks else 0):
         if added >= wanted:
             return
-        walk = world.town.walks[int(rng.integers(len(world.town.walks)))]
-        length = float(compute_lengths(walk)[-1])
+        choice = int(rng.choice(len(walks), p=lengths / lengths.sum()))
+        walk, length = walks[choice], float(lengths[choice])
         start = float(rng.uniform(0.0, length))
         if _compute_distance(near, interpolate_at_lengths(walk, np.array([start]))[0]) > _WALK_REACH_M:
             continue
