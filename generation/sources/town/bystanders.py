@@ -159,7 +159,7 @@ def _add_pedestrian(world: TownWorld, line: Floats, along: Floats, rng: np.rando
     x, y = where[:, 0] - lateral * np.sin(yaw), where[:, 1] + lateral * np.cos(yaw)
     size = (0.5, 0.5, float(rng.uniform(1.1, 1.4))) if child else (0.7, 0.65, float(rng.uniform(1.58, 1.9)))
     boxes = np.column_stack([x, y, np.full(len(x), size[0]), np.full(len(x), size[1]), yaw])
-    if not world.is_free(boxes):
+    if not world.is_free(boxes) or world.surprises_ego(boxes):
         return False
     world.tracks.append(ParticipantTrack(_CHILD if child else _ADULT, round(size[2], 2), boxes, parked=False))
     return True

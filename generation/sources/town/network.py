@@ -81,18 +81,18 @@ _AVENUE_ROADS = (
     _RoadPlan("C", EAST, "E", WEST, 1, True, 10.0),
     _RoadPlan("E", EAST, "XE", WEST, 1, False, 11.0),
     _RoadPlan("P", SOUTH, "K", NORTH, 1, False, 6.0),
-    *(_RoadPlan(*ends, 1, index == 0, 11.0) for index, ends in enumerate(_OUTER)),
+    *(_RoadPlan(*ends, 1, index != 2, 11.0) for index, ends in enumerate(_OUTER)),
 )
 _RING_ROADS = (
     _RoadPlan("N", NORTH, "XN", SOUTH, 1, False, 11.0),
     _RoadPlan("N", SOUTH, "C", NORTH, 1, True, 10.0),
     _RoadPlan("C", SOUTH, "S", NORTH, 1, True, 10.0),
     _RoadPlan("S", SOUTH, "XS", NORTH, 1, False, 11.0),
-    _RoadPlan("W", EAST, "P", WEST, 1, False, 10.0),
+    _RoadPlan("W", EAST, "P", WEST, 1, True, 10.0),
     _RoadPlan("P", EAST, "C", WEST, 1, False, 10.0),
     _RoadPlan("C", EAST, "E", WEST, 1, True, 10.0),
     _RoadPlan("P", SOUTH, "K", NORTH, 1, False, 6.0),
-    *(_RoadPlan(*ends, 2, False, 13.0) for ends in _OUTER),
+    *(_RoadPlan(*ends, 2, index % 2 == 0, 13.0) for index, ends in enumerate(_OUTER)),
 )
 PLANS = ("avenue", "ring")
 

@@ -153,6 +153,8 @@ _FIRST_DAY_US = 1_767_254_400_000_000
 _DAY_US = 86_400_000_000
 _SCENE_SPACING_US = 30_000_000
 _DIGITS = 6
+_LONG_CLEARANCE_S = 7.0
+"""Where the ego comes at the end of green: until it stands."""
 _TRIES = 24
 _TRIES_PER_TOWN = 2
 _LEADER_TRIES = 6
@@ -262,13 +264,16 @@ def _populate(
     path = build_path(town, legs, start_m, EGO_BODY)
     eagerness = float(rng.uniform(0.82, 0.98))
     start = int(min(eagerness * float(path.speed_limit[0]), compute_fastest_start(path)) + 0.3)
+    slower = float(rng.uniform(0.62, 0.75)) if programme.leader else 1.0
+    start = min(start, int(slower * float(path.speed_limit[0])) + 1)
     if programme.light is EgoLight.WAITS:
         start = 0
     world = TownWorld(town, _draw_lights(town, programme, path, start, rng))
-    add_parked(world, way, rng, share=0.6, most=theme.parked)
-    if programme.leader and not _add_leader(world, legs, start_m, start, rng):
+    add_parked(world, way, rng, share=0.65, most=theme.parked)
+    if programme.leader and not _add_leader(world, legs, start_m, start, slower, rng):
         return None
-    add_crossing_pedestrians(world, way[5:], rng, wanted=theme.crossing)
+    if programme.light is EgoLight.GREEN:
+        add_crossing_pedestrians(world, way[5:], rng, wanted=theme.crossing)
     if crossing:
         speed = eagerness * float(np.mean(path.speed_limit))
         add_meeting_pedestrians(world, way, rng, wanted=crossing, speed_mps=speed)
@@ -277,6 +282,9 @@ def _populate(
         return None
     rear = interpolate_grid(path.rear, stations)
     world.place_ego(rear)
+    world.expect_ego(path, stations)
+    if programme.light is not EgoLight.GREEN:
+        add_crossing_pedestrians(world, way[5:], rng, wanted=2 * theme.crossing)
     if programme.follower and not _add_follower(world, legs, start_m, start, rng):
         return None
     add_companions(world, points, legs, rng, wanted=theme.companions)
@@ -298,11 +306,11 @@ def _draw_lights(
         node, phase = town.signals[lane]
         arrives = max(station, 0) * STATION_M / max(start_mps, 6.0)
         if light is EgoLight.WAITS:
-            lights[node] = TrafficLights(1 - phase, float(rng.uniform(3.0, 8.0)))
+            lights[node] = TrafficLights(1 - phase, float(rng.uniform(6.0, 11.0)))
         elif light is EgoLight.RED:
-            lights[node] = TrafficLights(1 - phase, arrives + float(rng.uniform(1.0, 5.0)))
+            lights[node] = TrafficLights(1 - phase, arrives + float(rng.uniform(6.0, 9.0)))
         elif light is EgoLight.STOPS:
-            lights[node] = TrafficLights(phase, max(arrives - float(rng.uniform(3.0, 5.0)), 1.0))
+            lights[node] = TrafficLights(phase, max(arrives - float(rng.uniform(3.0, 5.0)), 1.0), _LONG_CLEARANCE_S)
         else:
             lights[node] = TrafficLights(phase, arrives + float(rng.uniform(6.0, 9.0)))
         light = EgoLight.GREEN
@@ -310,14 +318,19 @@ def _draw_lights(
 
 
 def _add_leader(
-    world: TownWorld, legs: list[RouteLeg], start_m: float, start_mps: int, rng: np.random.Generator
+    world: TownWorld,
+    legs: list[RouteLeg],
+    start_m: float,
+    start_mps: int,
+    eagerness: float,
+    rng: np.random.Generator,
 ) -> bool:
     """One who drives where the ego goes, a little slower than the ego would like to."""
     for _ in range(_LEADER_TRIES):
         body = MIXED.draw(rng)
-        ahead = start_m + 4.5 + body.length + float(rng.uniform(2.0, 2.3)) * start_mps
+        ahead = start_m + body.length + 2.5 + float(rng.uniform(1.5, 1.75)) * start_mps
         path = build_path(world.town, legs, ahead, body)
-        habits = DriverHabits(float(rng.uniform(0.68, 0.8)), draw_natural_pace(rng))
+        habits = DriverHabits(eagerness, draw_natural_pace(rng))
         if add_on_path(world, path, start_mps, habits):
             return True
     return False
@@ -329,7 +342,7 @@ def _add_follower(
     """One who drives behind the ego, and would like to be faster."""
     for _ in range(_LEADER_TRIES):
         body = CARS.draw(rng)
-        behind = start_m - EGO_BODY.length - 2.5 - float(rng.uniform(2.3, 2.8)) * start_mps
+        behind = start_m - EGO_BODY.length - 2.5 - float(rng.uniform(2.0, 2.4)) * start_mps
         before = list(legs)
         while behind < LEAD_M:
             options = world.town.predecessors[before[0].lane]

@@ -49,7 +49,7 @@ class DriverHabits:
 
     eagerness: float
     pace: Floats
-    headway_s: float = 1.5
+    headway_s: float = 1.2
     ego_gap_s: float = 1.25
     gives_way_s: float = 1.0
 

@@ -40,8 +40,8 @@ class SceneTheme:
     companions: int = 1
     passing: int = 7
     pulling_out: int = 1
-    parked: int = 14
-    pedestrians: int = 10
+    parked: int = 30
+    pedestrians: int = 20
     crossing: int = 1
 
 
@@ -81,7 +81,7 @@ def _fits_avenue(route: list[RouteStretch]) -> bool:
 def _fits_street(route: list[RouteStretch]) -> bool:
     start = next(part for part in route if part.end_m > 0)
     single = len(start.lane.siblings) == 1 and start.lane.role is LaneRole.ROAD
-    return single and _is_straight_until(route, 110.0) and start.lane.speed_mps <= 11.0 and _avoids_car_park(route)
+    return single and _is_straight_until(route, 110.0) and start.lane.speed_mps <= 10.0 and _avoids_car_park(route)
 
 
 def _fits_bend(route: list[RouteStretch]) -> bool:
@@ -112,13 +112,13 @@ def _fits_car_park(route: list[RouteStretch]) -> bool:
 
 
 AVENUE = SceneTheme("avenue", "Four-lane road", _fits_avenue, change_chance=0.2, companions=2)
-STREET = SceneTheme("street", "Street with parked cars", _fits_street, pulling_out=2, parked=22, pedestrians=14)
+STREET = SceneTheme("street", "Street with parked cars", _fits_street, pulling_out=2, parked=40, pedestrians=26)
 BEND = SceneTheme("bend", "Long bend", _fits_bend)
 CROSSING = SceneTheme("crossing", "Straight on at a junction with traffic lights", _fits_crossing, crossing=2)
 FAR_TURN = SceneTheme("far-turn", "Turn to the {far} at a junction, across oncoming traffic", _fits_far_turn)
 NEAR_TURN = SceneTheme("near-turn", "Turn to the {near} at a junction", _fits_near_turn, crossing=2)
 ROUNDABOUT = SceneTheme("roundabout", "Roundabout", _fits_roundabout, passing=8)
-CAR_PARK = SceneTheme("car-park", "Leaving a car park", _fits_car_park, LaneRole.CAR_PARK, companions=0, parked=26)
+CAR_PARK = SceneTheme("car-park", "Leaving a car park", _fits_car_park, LaneRole.CAR_PARK, companions=0, parked=40)
 
 
 class EgoLight(StrEnum):
@@ -132,7 +132,7 @@ class EgoLight(StrEnum):
 
 _HALT_AHEAD_M = {
     EgoLight.GREEN: (-np.inf, np.inf),
-    EgoLight.WAITS: (10.0, 11.0),
+    EgoLight.WAITS: (11.0, 12.0),
     EgoLight.RED: (35.0, 70.0),
     EgoLight.STOPS: (50.0, 120.0),
 }
@@ -164,11 +164,11 @@ PROGRAMME = (
     SceneProgramme(STREET, _DAY, leader=True),
     SceneProgramme(CROSSING, _DAY, _STOPS, follower=True),
     SceneProgramme(AVENUE, _DUSK, follower=True),
-    SceneProgramme(NEAR_TURN, _RAIN),
+    SceneProgramme(NEAR_TURN, _RAIN, _RED),
     SceneProgramme(STREET, _NIGHT),
     SceneProgramme(CROSSING, _DAY, _WAITS, leader=True),
     SceneProgramme(ROUNDABOUT, _DUSK),
-    SceneProgramme(BEND, _DAY),
+    SceneProgramme(CROSSING, _DAY, _RED),
     SceneProgramme(AVENUE, _RAIN, leader=True, follower=True),
     SceneProgramme(STREET, _DUSK, follower=True),
     SceneProgramme(FAR_TURN, _DAY, _RED),
@@ -178,8 +178,8 @@ PROGRAMME = (
     SceneProgramme(BEND, _RAIN, follower=True),
     SceneProgramme(STREET, _DAY, leader=True),
     SceneProgramme(NEAR_TURN, _DAY, _WAITS),
-    SceneProgramme(AVENUE, _DAY),
-    SceneProgramme(CROSSING, _DUSK, leader=True),
+    SceneProgramme(AVENUE, _DAY, leader=True),
+    SceneProgramme(CROSSING, _DUSK, _WAITS, leader=True),
     SceneProgramme(ROUNDABOUT, _RAIN),
     SceneProgramme(STREET, _RAIN, leader=True),
     SceneProgramme(CROSSING, _NIGHT, _STOPS),
@@ -211,7 +211,7 @@ def draw_ego_route(
         length = compute_lane_length(town.lanes[name])
         start = float(rng.uniform(LEAD_M, max(length - 20.0, LEAD_M + 1.0)))
         if programme.light is EgoLight.WAITS:
-            start = length - 10.5
+            start = length - 11.7
         route = find_route(
             town, name, start, EGO_ROUTE_M, rng, likes=_weigh_ego_lane, change_chance=theme.change_chance
         )

@@ -27,7 +27,7 @@ _LEAST_SECONDS_SEEN = 4
 _COMPANION_REACH_M = (38.0, 5.5)
 _PULL_OUT_M = 13.0
 _PULLING_OUT_REACH_M = 25.0
-_KEPT_AWAY_S = 3.3
+_KEPT_AWAY_S = 4.25
 """Between the ego and most others at the same place."""
 _HEAVY_ROLES = (LaneRole.ROAD, LaneRole.STRAIGHT, LaneRole.LEFT)
 
@@ -116,6 +116,8 @@ def add_on_path(world: TownWorld, path: VehiclePath, speed_mps: float, habits: D
         return False
     boxes = compute_body_boxes(rear, path.body)
     if world.ego_rear is not None and world.present(boxes).sum() < _LEAST_SECONDS_SEEN * FRAME_HZ:
+        return False
+    if world.surprises_ego(boxes):
         return False
     world.tracks.append(ParticipantTrack(path.body.category, path.body.height, boxes, parked=False))
     return True

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import shapely
 
-from benchmark.constants import FRAME_HZ
+from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME, PLAN_STEPS
 from benchmark.geometry import Bools, Floats, box_corners, boxes_overlap
 from generation.sources.town.curves import interpolate_grid
 from generation.sources.town.network import Town
@@ -24,9 +24,10 @@ ANNOTATION_RANGE_M = 65.0
 _CHECK_FRAMES = FRAME_HZ // CHECKS_PER_SECOND
 _SMALLEST_GAP_M = 0.25
 _KERB_TOLERANCE_M = 0.1
-_HALT_M = (7.2, 2.2)
+_HALT_M = (8.4, 3.4)
 """Before the end of a lane: where the front axle is not while the light is red."""
-_CLEARANCE_S = 3.0
+_ROOM_M = (np.array([3.5, 1.1]), np.array([1.0, 0.4]))
+_ROOM_AT_MPS = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,30 +44,33 @@ class ParticipantTrack:
 class TrafficLights:
     """Lights of a junction: ``first`` is the phase that has green until ``change_s``, the other one from then on.
 
-    Between them all have red for `_CLEARANCE_S`.
+    Between them all have red for ``clearance_s``.
     """
 
     first: int
     change_s: float
+    clearance_s: float = 3.0
 
     def is_red(self, phase: int, seconds: Floats) -> Bools:
         """(Q,) whether lanes of a phase have to wait."""
         if phase == self.first:
             return np.asarray(seconds >= self.change_s)
-        return np.asarray(seconds < self.change_s + _CLEARANCE_S)
+        return np.asarray(seconds < self.change_s + self.clearance_s)
 
 
 @dataclass(slots=True)
 class TownWorld:
     """Everything placed so far; the ego's (FRAMES, 3) rear-axle poses and (FRAMES, 5) footprint once planned.
 
-    ``lights`` are by junction; one without is passed by who finds a gap.
+    ``lights`` are by junction; one without is passed by who finds a gap. ``expected`` is (FRAMES, 7, 5): the ego now,
+    and where it would be half a second to three later if it kept its speed on its path, with room around it.
     """
 
     town: Town
     lights: dict[str, TrafficLights] = field(default_factory=dict)
     ego_rear: Floats | None = None
     ego_boxes: Floats | None = None
+    expected: Floats | None = None
     tracks: list[ParticipantTrack] = field(default_factory=list)
 
     def drive(self, path: VehiclePath, *, start_mps: int, habits: DriverHabits) -> Floats | None:
@@ -148,6 +152,24 @@ class TownWorld:
     def present(self, boxes: Floats) -> Bools:
         """(FRAMES,) whether a participant is near enough to be annotated."""
         return np.asarray(self.compute_distance_to_ego(boxes) < ANNOTATION_RANGE_M)
+
+    def expect_ego(self, path: VehiclePath, stations: Floats) -> None:
+        """Set ``expected`` from the ego's (FRAMES,) stations."""
+        speed = np.gradient(stations)
+        later = stations[:, None] + speed[:, None] * (np.arange(PLAN_STEPS + 1) * FRAMES_PER_KEYFRAME)
+        self.expected = path.boxes(later.ravel()).reshape(*later.shape, 5)
+        # Less room for what was never seen to happen than for what did.
+        room = np.minimum(speed[:, None] * STATION_M * FRAME_HZ / _ROOM_AT_MPS, 1.0)
+        self.expected[..., 2:4] += room[..., None] * np.where(np.arange(PLAN_STEPS + 1)[:, None] == 0, *_ROOM_M)
+
+    def surprises_ego(self, boxes: Floats) -> bool:
+        """Whether a track gets so near the ego, or in its way at a key frame, that a small error would be a contact."""
+        if self.expected is None:
+            return False
+        frames = np.arange(0, FRAMES, FRAMES_PER_KEYFRAME)[:, None]
+        then = frames + np.arange(PLAN_STEPS + 1) * FRAMES_PER_KEYFRAME
+        own = np.broadcast_to(boxes, (FRAMES, 5))[np.minimum(then, FRAMES - 1)]
+        return bool((boxes_overlap(own, self.expected[frames[:, 0]]) & (then < FRAMES)).any())
 
     def place_ego(self, rear: Floats) -> None:
         """Fix the ego's motion, (FRAMES, 3) rear-axle poses."""
