@@ -157,6 +157,8 @@ _LONG_CLEARANCE_S = 7.0
 """Where the ego comes at the end of green: until it stands."""
 _TRIES = 24
 _TRIES_PER_TOWN = 2
+_PLAIN_TRIES = 8
+"""Where neither town has room for one ahead or behind as well."""
 _LEADER_TRIES = 6
 _LEAST_NEIGHBOURS = 2
 _NEIGHBOUR_REACH_M = 25.0
@@ -238,6 +240,8 @@ def _find_populated_world(
         # A drive given the wrong number of them gets another ego, not the same one with other pedestrians.
         also = (crossing,) if crossing else ()
         rng = np.random.default_rng(content_seed("town scene", TOWN_VERSION, split, index, seed, attempt, *also))
+        if attempt == _TRIES - _PLAIN_TRIES:
+            programme = replace(programme, leader=False, follower=False)
         populated = _populate(town, location, seed, programme, rng, crossing)
         if populated is None or not _is_worth_attacking(populated[0]):
             continue
@@ -328,7 +332,7 @@ def _add_leader(
     """One who drives where the ego goes, a little slower than the ego would like to."""
     for _ in range(_LEADER_TRIES):
         body = MIXED.draw(rng)
-        ahead = start_m + body.length + 2.5 + float(rng.uniform(1.5, 1.75)) * start_mps
+        ahead = start_m + body.length + max(1.5 + float(rng.uniform(1.45, 1.75)) * start_mps, 4.5)
         path = build_path(world.town, legs, ahead, body)
         habits = DriverHabits(eagerness, draw_natural_pace(rng))
         if add_on_path(world, path, start_mps, habits):

@@ -110,9 +110,7 @@ def plan_speed(
     return _compute_smooth_motion(start_mps, choices) / STATION_M
 
 
-def _search(
-    path: VehiclePath, blocked: Bools, others: Bools, start_mps: int, habits: DriverHabits
-) -> list[int] | None:
+def _search(path: VehiclePath, blocked: Bools, others: Bools, start_mps: int, habits: DriverHabits) -> list[int] | None:
     # Imported late: it takes half a second, which commands that make no town need not wait for.
     from scipy.ndimage import minimum_filter1d
 

@@ -28,6 +28,7 @@ _HALT_M = (8.4, 3.4)
 """Before the end of a lane: where the front axle is not while the light is red."""
 _ROOM_M = (np.array([3.5, 1.1]), np.array([1.0, 0.4]))
 _ROOM_AT_MPS = 5.0
+_DRIVES_ON_MPS2 = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,8 +63,8 @@ class TrafficLights:
 class TownWorld:
     """Everything placed so far; the ego's (FRAMES, 3) rear-axle poses and (FRAMES, 5) footprint once planned.
 
-    ``lights`` are by junction; one without is passed by who finds a gap. ``expected`` is (FRAMES, 7, 5): the ego now,
-    and where it would be half a second to three later if it kept its speed on its path, with room around it.
+    ``lights`` are by junction; one without is passed by who finds a gap. ``expected`` is (2, FRAMES, 7, 5): the ego now,
+    and where it would be half a second to three later if it kept its speed or drove on gently, with room around it.
     """
 
     town: Town
@@ -156,7 +157,9 @@ class TownWorld:
     def expect_ego(self, path: VehiclePath, stations: Floats) -> None:
         """Set ``expected`` from the ego's (FRAMES,) stations."""
         speed = np.gradient(stations)
-        later = stations[:, None] + speed[:, None] * (np.arange(PLAN_STEPS + 1) * FRAMES_PER_KEYFRAME)
+        ahead = np.arange(PLAN_STEPS + 1) * FRAMES_PER_KEYFRAME
+        gained = 0.5 * (ahead / FRAME_HZ) ** 2 * _DRIVES_ON_MPS2 / STATION_M
+        later = stations[:, None] + speed[:, None] * ahead + np.stack([np.zeros_like(gained), gained])[:, None]
         self.expected = path.boxes(later.ravel()).reshape(*later.shape, 5)
         # Less room for what was never seen to happen than for what did.
         room = np.minimum(speed[:, None] * STATION_M * FRAME_HZ / _ROOM_AT_MPS, 1.0)
@@ -169,7 +172,7 @@ class TownWorld:
         frames = np.arange(0, FRAMES, FRAMES_PER_KEYFRAME)[:, None]
         then = frames + np.arange(PLAN_STEPS + 1) * FRAMES_PER_KEYFRAME
         own = np.broadcast_to(boxes, (FRAMES, 5))[np.minimum(then, FRAMES - 1)]
-        return bool((boxes_overlap(own, self.expected[frames[:, 0]]) & (then < FRAMES)).any())
+        return bool((boxes_overlap(own, self.expected[:, frames[:, 0]]) & (then < FRAMES)).any())
 
     def place_ego(self, rear: Floats) -> None:
         """Fix the ego's motion, (FRAMES, 3) rear-axle poses."""
