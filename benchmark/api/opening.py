@@ -32,8 +32,6 @@ OUT = Path("challenger-out")
 """Folder for everything that is made, unless another one is named."""
 DEFAULT_IMAGE_SIZE = (448, 256)
 """Width and height of schematic images, pixels."""
-_TOWN_TAKES = {"keyframes": "a minute", "all": "two minutes"}
-"""How long the embedded data set takes to build, for people."""
 
 
 def worker_count(count: int) -> int:
@@ -100,10 +98,10 @@ def open_data(
     if str(data) != EMBEDDED:
         named = None if categories is None else read_categories(str(categories))
         return open_root(Path(data), version=tables, rates=rates, categories=named)
-    settings = TownSettings(pictures="all" if sweeps else "keyframes")
+    settings = TownSettings(pictures="asked")
     root = cache_root() / settings.folder_name(EMBEDDED)
     if not is_finished(root):
-        notify(f"building the embedded data set in {root} (once, about {_TOWN_TAKES[settings.pictures]})")
+        notify(f"building the embedded data set in {root} (once, about half a minute; images when they are looked at)")
     return open_root(build_town_data_set(root, settings, workers=worker_count(workers)), name=EMBEDDED)
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.constants import NUSCENES_TABLES
+from benchmark.datasets.drawn_later import DRAWN_BY
 from benchmark.datasets.scene_assessments import ASSESSMENTS_FILE
 from benchmark.datasets.scene_names import NAME, PROVENANCE, SHIFT_US
 from benchmark.datasets.split_reviews import LEFT_OUT
@@ -215,6 +216,8 @@ def _build_provenance(plan: DataSetPlan, members: Sequence[Fragment]) -> dict[st
         "renderer": members[0]["renderer"],
         "scenes": scenes,
     }
+    if plan.drawn_by is not None:
+        provenance[DRAWN_BY] = plan.drawn_by
     if plan.frozen is not None:
         provenance["frozen"] = dict(zip(("name", "content"), plan.frozen, strict=True))
     if plan.search is not None:

@@ -63,8 +63,8 @@ class TrafficLights:
 class TownWorld:
     """Everything placed so far; the ego's (FRAMES, 3) rear-axle poses and (FRAMES, 5) footprint once planned.
 
-    ``lights`` are by junction; one without is passed by who finds a gap. ``expected`` is (2, FRAMES, 7, 5): the ego now,
-    and where it would be half a second to three later if it kept its speed or drove on gently, with room around it.
+    ``lights`` are by junction; one without is passed by who finds a gap. ``expected`` is (2, FRAMES, 7, 5): the ego
+    now, and half a second to three later if it kept its speed or drove on gently, with room around it.
     """
 
     town: Town
