@@ -44,7 +44,7 @@ def add_parked(world: TownWorld, near: Floats, rng: np.random.Generator, *, shar
             y = place.pose[1] + shift[0] * np.sin(turned) + lateral * np.cos(turned)
             length = min(body.length, 4.9) if place.in_car_park else min(body.length, 5.4)
             box = np.array([[x, y, length, body.width, turned]])
-            if world.is_free(box):
+            if world.is_free(box) and world.is_on_road(box):
                 world.tracks.append(ParticipantTrack(body.category, body.height, box, parked=True))
                 parked += 1
 

@@ -164,6 +164,7 @@ _LEAST_NEIGHBOURS = 2
 _NEIGHBOUR_REACH_M = 25.0
 _LEAST_SECONDS_NEAR = 1.5
 _LEAST_SECONDS_PRESENT = 6
+_LEAST_DISTANCE_M = 6.0
 _LEAST_EGO_DISTANCE_M = 30.0
 
 
@@ -371,7 +372,8 @@ def _is_worth_attacking(world: TownWorld) -> bool:
         if track.category == "vehicle.car" and len(track.boxes) > 1:
             near = world.compute_distance_to_ego(track.boxes) < _NEIGHBOUR_REACH_M
             enough += bool(
-                near.sum() >= _LEAST_SECONDS_NEAR * FRAME_HZ
+                np.ptp(track.boxes[:, :2], axis=0).max() > _LEAST_DISTANCE_M
+                and near.sum() >= _LEAST_SECONDS_NEAR * FRAME_HZ
                 and world.present(track.boxes).sum() >= _LEAST_SECONDS_PRESENT * FRAME_HZ
             )
     return enough >= _LEAST_NEIGHBOURS
