@@ -26,7 +26,8 @@ def mirror_map(road_map: RoadMap) -> RoadMap:
     """A map in the mirror; lanes lead where they led."""
 
     def mirror(shape: _Shape) -> _Shape:
-        return shapely.transform(shape, mirror_points)
+        mirrored: _Shape = shapely.transform(shape, mirror_points)
+        return mirrored
 
     def mirror_all(shapes: dict[str, Polygon]) -> dict[str, Polygon]:
         return {name: mirror(shape) for name, shape in shapes.items()}

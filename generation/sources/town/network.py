@@ -253,7 +253,7 @@ def find_signals(layout: TownLayout, arms: dict[str, list[JunctionArm]]) -> dict
 
     Roundabouts have none, nor has the way into a car park.
     """
-    signals = {}
+    signals: dict[str, tuple[str, int]] = {}
     for node in layout.nodes.values():
         roads = [arm.road for arm in arms[node.name]]
         if node.kind is TownNodeKind.CROSSING and all(layout.roads[road].speed_mps >= 8.0 for road in roads):
