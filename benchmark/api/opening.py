@@ -32,8 +32,6 @@ OUT = Path("challenger-out")
 """Folder for everything that is made, unless another one is named."""
 DEFAULT_IMAGE_SIZE = (448, 256)
 """Width and height of schematic images, pixels."""
-_TOWN_TAKES = {"keyframes": "a minute", "all": "two minutes"}
-"""How long the embedded data set takes to build, for people."""
 
 
 def worker_count(count: int) -> int:
@@ -109,7 +107,7 @@ def open_data(
     pictures: Literal["all", "keyframes"] = "all" if sweeps else "keyframes"
     root = cache_root() / embedded.folder_name()
     if not is_finished(root):
-        notify(f"building the embedded data set in {root} (once, about {_TOWN_TAKES[pictures]})")
+        notify(f"building the embedded data set in {root} (once, about {embedded.takes[pictures]})")
     return open_root(embedded.build(root, pictures, worker_count(workers)), name=embedded.name)
 
 

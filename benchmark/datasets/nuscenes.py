@@ -14,6 +14,7 @@ from benchmark.datasets.annotated_objects import AnnotationCount, read_objects
 from benchmark.datasets.can_bus import CanBus
 from benchmark.datasets.categories import KNOWN, LIDAR_PLACE, SENSOR, CategoryNames
 from benchmark.datasets.devkit import OpenTables, open_tables
+from benchmark.datasets.drawn_later import Artist
 from benchmark.datasets.fingerprint import compute_fingerprint
 from benchmark.datasets.map_layers import find_expansion_file, read_road_map
 from benchmark.datasets.observations import read_observations
@@ -60,6 +61,7 @@ class NuScenesData:
         self._logs: dict[str, Row] = {row["token"]: row for row in tables.rows("log")}
         self._splits = read_splits(root, version)
         self._provenance = _read_provenance(root / version / PROVENANCE, set(self._rows))
+        self._artist = Artist.of(root, self._provenance)
         self._verdicts = read_review(root)
         self._scenes: OrderedDict[str, Scene] = OrderedDict()
         self._maps: dict[str, RoadMap] = {}
@@ -160,16 +162,20 @@ class NuScenesData:
         """Inputs that a planner may see, one observation a sample, in time order."""
         scene, row = self.scene(name), self._row(name)
         nusc = self._devkit(row)
-        yield from read_observations(nusc, self.root, scene, list_samples(nusc, row), CanBus.read(self.root, name))
+        samples, can_bus = list_samples(nusc, row), CanBus.read(self.root, name)
+        yield from read_observations(nusc, self.root, scene, samples, can_bus, self._artist)
 
     def videos(self, name: str, *, sweeps: bool) -> dict[str, tuple[CameraView, ...]]:
         """Camera images of a scene by camera name, in time order (`read_videos`); opened only when a view is loaded.
 
-        ``sweeps`` adds the images between keyframes.
+        ``sweeps`` adds the images between keyframes. What is drawn later (`benchmark.datasets.drawn_later`) is drawn.
         """
         row = self._row(name)
         nusc = self._devkit(row)
-        return read_videos(nusc, self.root, list_samples(nusc, row), sweeps=sweeps)
+        videos = read_videos(nusc, self.root, list_samples(nusc, row), sweeps=sweeps)
+        if self._artist is not None:
+            self._artist.draw(row["name"], (view.path for views in videos.values() for view in views), sweeps=sweeps)
+        return videos
 
     def truth(self, name: str) -> tuple[SampleTruth, ...]:
         """Recorded truth of each sample, in time order."""
@@ -195,10 +201,12 @@ class NuScenesData:
     def fingerprint(self) -> str:
         """Content hash of tables, maps and file manifest (`compute_fingerprint`), 64 hexadecimal digits.
 
-        Names that were replaced are content, too: planners go by those of cameras and categories.
+        Names that were replaced are content, too: planners go by those of cameras and categories. Images that are drawn
+        later are not: they are not there yet.
         """
         if self._fingerprint is None:
-            fingerprint = compute_fingerprint(self.root, self.version, self._tables.keyframe_images())
+            images = () if self._artist else self._tables.keyframe_images()
+            fingerprint = compute_fingerprint(self.root, self.version, images)
             replaced = tuple((name, to) for name, to in self.categories if name != f"{SENSOR}{to}")
             self._fingerprint = content_key("categories", fingerprint, replaced) if replaced else fingerprint
         return self._fingerprint

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.datasets.can_bus import CanBus, compute_ego_state
+from benchmark.datasets.drawn_later import Artist
 from benchmark.datasets.sample_truth import compute_planar_lidar_poses, compute_recorded_command
 from benchmark.datasets.sensors import read_views
 from benchmark.datasets.steps import KeyFrameSteps, interpolate_values
@@ -21,15 +22,19 @@ PAST_KEYFRAMES: Final = 5
 
 
 def read_observations(
-    nusc: Any, root: Path, scene: Scene, samples: Sequence[Row], can_bus: CanBus
+    nusc: Any, root: Path, scene: Scene, samples: Sequence[Row], can_bus: CanBus, artist: Artist | None = None
 ) -> Iterator[Observation]:
     """Inputs that a planner may see at each sample, for the scene's K rows in time order, at any rate of key frames.
 
     Refuses calibrations that make no sense, file names that leave the root, and scenes of which some images are
-    missing. Where all are missing the scene is one without images: only looking at one is an error then.
+    missing. Where all are missing the scene is one without images: only looking at one is an error then. An ``artist``
+    draws what is missing.
     """
     views = [read_views(nusc, root, sample) for sample in samples]
-    _require_all_or_none(scene.name, [view.path for by_camera in views for view in by_camera.values()])
+    if artist is None:
+        _require_all_or_none(scene.name, [view.path for by_camera in views for view in by_camera.values()])
+    else:
+        views = [{name: artist.show(scene.name, view) for name, view in of_sample.items()} for of_sample in views]
     lidar_poses, clock, axle_poses = compute_planar_lidar_poses(scene), KeyFrameSteps.of(scene), scene.ego.pose
     for index, sample in enumerate(samples):
         past_poses, past_valid = compute_past(scene, axle_poses, clock, index)

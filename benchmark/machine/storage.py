@@ -75,17 +75,17 @@ def writing_to(path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def lock_folder(folder: Path) -> Iterator[None]:
+def lock_folder(folder: Path, *, wait: bool = False) -> Iterator[None]:
     """Keep two commands from writing to one folder, which is made, at the same time; a killed command locks none out.
 
-    `InputError` if another command is writing to it, or it cannot be made.
+    `InputError` if another command is writing to it, unless one can ``wait`` for that, or it cannot be made.
     """
     with writing_to(folder):
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(folder, os.O_RDONLY)
     try:
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise InputError(
                 f"another command is writing to {folder}; wait until it has ended, then run this one again, or choose "

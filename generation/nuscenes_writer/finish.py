@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from benchmark.constants import CAMERA_NAMES, NUSCENES_TABLES
 from benchmark.datasets.categories import NAMES_FILE, SENSOR
+from benchmark.datasets.drawn_later import DRAWN_BY
 from benchmark.datasets.scene_assessments import ASSESSMENTS_FILE
 from benchmark.datasets.scene_names import NAME, PROVENANCE, SHIFT_US
 from benchmark.datasets.split_reviews import LEFT_OUT
@@ -225,6 +226,8 @@ def _build_provenance(plan: DataSetPlan, members: Sequence[Fragment]) -> dict[st
         "renderer": members[0]["renderer"],
         "scenes": scenes,
     }
+    if plan.drawn_by is not None:
+        provenance[DRAWN_BY] = plan.drawn_by
     if plan.frozen is not None:
         provenance["frozen"] = dict(zip(("name", "content"), plan.frozen, strict=True))
     if plan.search is not None:

@@ -61,7 +61,9 @@ class DataSetPlan:
         renderer: Draws the camera images; ``None`` for a data set without cameras.
         frames: Which frames get rows and files: all 12 Hz frames or the 2 Hz keyframes.
         pictures: Which of these frames get camera images now. ``keyframes`` leaves out files that the rows name, which
-            the same plan with ``all`` adds later: tables, tokens and keys are the same with and without them.
+            the same plan with ``all`` adds later: tables, tokens and keys are the same with and without them. ``none``
+            leaves out all.
+        drawn_by: Who draws images that are not there (`benchmark.datasets.drawn_later`), if somebody does.
         jpeg_quality: 1..100.
         lossless: Beside each JPEG file a PNG file of the same name, which no table names.
         frozen: Name and content hash of the frozen split that it is built from, if it is.
@@ -77,9 +79,10 @@ class DataSetPlan:
     layout: Literal["suffixed", "per-variant"] = "suffixed"
     renderer: Renderer | None = None
     frames: Literal["all", "keyframes"] = "all"
-    pictures: Literal["all", "keyframes"] = "all"
+    pictures: Literal["all", "keyframes", "none"] = "all"
     jpeg_quality: int = 92
     lossless: bool = False
+    drawn_by: str | None = None
     source: SourceInfo | None = None
     frozen: tuple[str, str] | None = None
     search: str | None = None

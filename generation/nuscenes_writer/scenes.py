@@ -34,8 +34,8 @@ from generation.render.contract import CuttingRenderer, Images, RecordedImages, 
 
 FRAGMENT_SCHEMA = 1
 UNDRAWN = "undrawn"
-"""Stands in the fragment of a scene whose images between samples are not drawn yet."""
-
+"""Stands in the fragment of a scene whose images between samples are not drawn yet, or `_NOT_ONE`."""
+_NOT_ONE = "not one"
 
 NUMBER = "number"
 """In the fragment of a scene whose name and times in the tables are not its recording's (`SceneNumber`)."""
@@ -120,6 +120,8 @@ def write_scene_if_missing(
     _write_images(plan, root, names, (scene, timed), channels, frames, existing_pictures)
     if plan.pictures == "keyframes":
         sensor_files = [path for path in sensor_files if not _is_sweep_image(path)]
+    if plan.pictures == "none":
+        sensor_files = [path for path in sensor_files if not _is_image(path)]
     fragment = {
         "schema": FRAGMENT_SCHEMA,
         "key": key,
@@ -132,7 +134,7 @@ def write_scene_if_missing(
         "instances": [row["token"] for row in tables["instance"]],
         "files": {path: (root / path).stat().st_size for path in sorted([*sensor_files, *messages])},
         "renderer": _build_renderer_row(plan, cameras),
-        **({UNDRAWN: True} if plan.pictures == "keyframes" else {}),
+        **({} if plan.pictures == "all" else {UNDRAWN: _NOT_ONE if plan.pictures == "none" else True}),
         **({NUMBER: asdict(number)} if number is not None else {}),
         "tables": {table: ",\n".join(map(canonical_json, rows)) for table, rows in tables.items()},
     }
@@ -144,6 +146,8 @@ def is_complete(plan: DataSetPlan, key: str, *, variant: int, name: str, number:
     """Whether a scene's fragment, claim and files are all there, the files in the size they were written."""
     fragment = _read_claimed_fragment(plan, key, variant=variant, name=name)
     if fragment is None or (UNDRAWN in fragment and plan.pictures == "all"):
+        return False
+    if fragment.get(UNDRAWN) == _NOT_ONE and plan.pictures != "none":
         return False
     if fragment.get(NUMBER) != (None if number is None else asdict(number)):
         return False
@@ -324,7 +328,7 @@ def _write_images(
     """Draw and write the images that a plan wants of a scene, as recorded and as timed, and that are not there."""
     scene, timed = scenes
     cameras = [channel for channel in channels if channel.camera is not None]
-    if plan.renderer is None or not cameras:
+    if plan.renderer is None or not cameras or plan.pictures == "none":
         return
     wanted = frames if plan.pictures == "all" else scene.keyframes.tolist()
     if isinstance(plan.renderer, RecordedImages):

@@ -1,9 +1,9 @@
 """The embedded data set ``mini``: the procedural town, rendered and written in nuScenes format."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, lock_folder, read_cached_json, write_json
@@ -32,6 +32,8 @@ from generation.sources.town.driven_ego import PlannerDrive, select_lasting_driv
 VERSION_FOLDER = "v1.0-mini"
 
 Split = Literal["val", "train"]
+_NOTE: Final = Path(STATE_FOLDER) / "town.json"
+_PICTURES: Final = ("asked", "keyframes", "all")
 _Work = tuple[Split, int, PlannerDrive | None]
 
 
@@ -51,7 +53,7 @@ class TownSettings:
         driven: Folder with one record of drives through training scenes of the same seed: these are the training
             scenes, and their ego goes where it was driven.
         pictures: Which of these frames are drawn now; the same settings with ``all`` draw what is left, and no table
-            changes by it.
+            changes by it. ``asked``: each scene when it is looked at (`draw_town_scene`).
         crossing: Most pedestrians more who cross the way of the ego of a training scene when it comes.
     """
 
@@ -64,8 +66,32 @@ class TownSettings:
     images: bool = True
     off_path: bool = False
     driven: Path | None = None
-    pictures: Literal["all", "keyframes"] = "all"
+    pictures: Literal["all", "keyframes", "asked"] = "all"
     crossing: int = 0
+
+    @property
+    def _is_redrawn(self) -> bool:
+        """Whether images can be drawn at any time from the settings alone."""
+        return self.images and self.driven is None
+
+    def plan(self, root: Path) -> DataSetPlan:
+        """What is written of it at a root."""
+        return DataSetPlan(
+            root=root,
+            version=VERSION_FOLDER,
+            split="val",
+            renderer=SchematicRenderer(self.width, self.height) if self.images else None,
+            frames=self.frames,
+            pictures="none" if self.pictures == "asked" else self.pictures,
+            drawn_by="town" if self._is_redrawn else None,
+        )
+
+    def note(self, root: Path) -> dict[str, Any]:
+        """What a root that was made of it remembers."""
+        made_of: dict[str, Any] = {"key": self.folder_name(root.name)}
+        if self._is_redrawn:
+            made_of["settings"] = {name: value for name, value in asdict(self).items() if name != "driven"}
+        return made_of
 
     def drawn_name(self, name: str) -> str:
         """A name for what happens in the scenes and how they look: all that a measured number depends on."""
@@ -122,24 +148,57 @@ def build_town_data_set(root: Path, settings: TownSettings, *, workers: int) -> 
     numbers = list(range(settings.train_scenes)) if settings.driven is None else list(drives)
     names = list_town_scene_names("train", max(numbers, default=-1) + 1)
     train = [names[number] for number in numbers]
-    note, complete_note = root / STATE_FOLDER / "town.json", {"key": settings.folder_name(root.name)}
-    made_of = complete_note if settings.pictures == "all" else {**complete_note, "pictures": settings.pictures}
-    if is_finished(root) and read_cached_json(note) in (made_of, complete_note):
+    if _is_made(root, settings):
         return root
-    renderer = SchematicRenderer(settings.width, settings.height) if settings.images else None
-    plan = DataSetPlan(
-        root=root, version=VERSION_FOLDER, split="val", renderer=renderer, frames=settings.frames,
-        pictures=settings.pictures, source=None,
-    )  # fmt: skip
+    plan = settings.plan(root)
     work: list[_Work] = [("val", index, None) for index in range(settings.val_scenes)]
     work += [("train", index, drives.get(index)) for index in numbers]
     job = partial(_write_one, plan, settings.seed, settings.off_path, settings.crossing)
-    with lock_folder(root):
+    with lock_folder(root, wait=True):
+        if _is_made(root, settings):
+            return root
         where = LocalProcesses(workers)
         written = list(run_units(job, work, where, total=len(work), label="building the town"))
         finish_data_set(plan, [scene.key for scene in written], extra_splits={"train": train} if train else None)
-        write_json(note, made_of)
+        write_json(root / _NOTE, settings.note(root))
     return root
+
+
+def _is_made(root: Path, settings: TownSettings) -> bool:
+    """Whether a root is finished and as the settings say, with as many images as they ask for or more."""
+    note = read_cached_json(root / _NOTE)
+    enough = _PICTURES[_PICTURES.index(settings.pictures) :]
+    return is_finished(root) and note in [replace(settings, pictures=pictures).note(root) for pictures in enough]
+
+
+def draw_town_scene(root: Path, name: str, *, sweeps: bool) -> None:
+    """Draw the images of one scene of a town, where they are missing; another command that does it is waited for.
+
+    Args:
+        root: Root that `build_town_data_set` wrote.
+        name: Name of the scene.
+        sweeps: Whether those between samples are drawn, too.
+
+    Raises:
+        InputError: If the root does not remember what it was made of, or the disk refuses.
+    """
+    note = read_cached_json(root / _NOTE)
+    try:
+        settings = replace(TownSettings(**note["settings"]), pictures="all" if sweeps else "keyframes")
+        split, index = _find_scene(settings, name)
+    except (TypeError, KeyError, ValueError):
+        raise InputError(
+            f"{root} no longer says what it was made of ({_NOTE}), so its images cannot be drawn; build it again"
+        ) from None
+    with lock_folder(root / STATE_FOLDER / "drawing" / name, wait=True):
+        _write_one(settings.plan(root), settings.seed, settings.off_path, settings.crossing, (split, index, None))
+
+
+def _find_scene(settings: TownSettings, name: str) -> tuple[Split, int]:
+    val = list_town_scene_names("val", settings.val_scenes)
+    if name in val:
+        return "val", val.index(name)
+    return "train", list_town_scene_names("train", settings.train_scenes).index(name)
 
 
 def _read_drive_record(folder: Path) -> DriveRecord:

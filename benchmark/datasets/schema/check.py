@@ -13,7 +13,9 @@ from benchmark.constants import MAP_LAYERS, NUSCENES_TABLES, OFFICIAL_LOCATIONS
 from benchmark.datasets.annotated_objects import AnnotationCount, find_labelled_keyframes, has_size
 from benchmark.datasets.categories import KNOWN, LIDAR_PLACE, SENSOR, CategoryNames, choose_names, rename_rows
 from benchmark.datasets.devkit_import import FURTHER_TABLES, build_devkit
+from benchmark.datasets.drawn_later import Artist
 from benchmark.datasets.map_layers import find_expansion_file, read_road_map
+from benchmark.datasets.scene_names import PROVENANCE
 from benchmark.datasets.schema import Fault, FaultList
 from benchmark.datasets.schema.files import check_files
 from benchmark.datasets.schema.links import check_chains, check_links, check_sample_chains
@@ -40,7 +42,7 @@ from benchmark.datasets.truth_facts import (
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, yaw_of_quaternion
 from benchmark.machine.extension import call_extension
-from benchmark.machine.storage import read_json
+from benchmark.machine.storage import read_cached_json, read_json
 from benchmark.report.words import pluralise
 from benchmark.road_map import RoadMap
 
@@ -366,7 +368,8 @@ def _check(folder: Path, data_root: Path, categories: Mapping[str, str]) -> list
         # Another rig may have equal lenses.
         check_copied_intrinsics(tables, faults)
     check_sensors(tables, faults, lidar_is_placed=LIDAR_PLACE in dict(names))
-    check_files(data_root, tables, faults)
+    drawn_later = Artist.of(data_root, read_cached_json(folder / PROVENANCE)) is not None
+    check_files(data_root, tables, faults, drawn_later=drawn_later)
     ego = EgoSamplePoses.of(tables)
     check_maps(data_root, tables, ego, faults, names)
     check_motion(tables, ego, faults)

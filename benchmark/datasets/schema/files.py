@@ -13,18 +13,22 @@ _PNG_START: Final = b"\x89PNG\r\n\x1a\n"
 _PNG_END: Final = b"IEND\xaeB`\x82"
 _JPEG_SIZES: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """Start-of-frame markers, which carry the image size."""
+_IMAGES: Final = (".jpg", ".jpeg", ".png")
 _LIDAR_POINT_BYTES: Final = 20
 
 
-def check_files(root: Path, tables: CheckedTables, faults: FaultList) -> None:
-    """Note sensor files and map masks that are missing, broken, or of another size."""
+def check_files(root: Path, tables: CheckedTables, faults: FaultList, *, drawn_later: bool = False) -> None:
+    """Note sensor files and map masks that are missing, broken, or of another size.
+
+    Images that are ``drawn_later`` (`benchmark.datasets.drawn_later`) may be missing.
+    """
     folders = _FolderSizes(root)
     owners: dict[str, str] = {}
-    undrawn = _without_sweep_images(folders, tables)
+    undrawn = [] if drawn_later else _without_sweep_images(folders, tables)
     if undrawn:
         sentence = (
             f"{undrawn[0]['filename']} is missing, and so is every other image between samples; films play at 2 Hz "
-            "without them (sheets --pictures all draws those of mini and demo)"
+            "without them"
         )
         faults.add("no images between samples", "sample_data", undrawn[0]["token"], sentence, severity="warning")
     left_out = {row["token"] for row in undrawn}
@@ -35,7 +39,7 @@ def check_files(root: Path, tables: CheckedTables, faults: FaultList) -> None:
             faults.add("files of two rows", "sample_data", row["token"], sentence, severity="warning")
         owners[name] = row["token"]
         size = folders.size(name)
-        if size is None and row["token"] in left_out:
+        if size is None and (row["token"] in left_out or (drawn_later and name.endswith(_IMAGES))):
             continue
         if size is None:
             faults.add("missing files", "sample_data", row["token"], f"{name} is missing")
@@ -61,7 +65,7 @@ def _without_sweep_images(folders: "_FolderSizes", tables: CheckedTables) -> lis
     rows = [
         row
         for row in tables.having("sample_data", "filename", "is_key_frame")
-        if row["is_key_frame"] is False and row["filename"].endswith((".jpg", ".jpeg", ".png"))
+        if row["is_key_frame"] is False and row["filename"].endswith(_IMAGES)
     ]
     return [] if any(folders.size(row["filename"]) is not None for row in rows) else rows
 

@@ -8,6 +8,7 @@ from typing import Final
 
 import shapely
 
+from benchmark.datasets.drawn_later import Artist
 from benchmark.datasets.map_layers import find_expansion_file, read_road_map
 from benchmark.datasets.scene_names import PROVENANCE, find_table_name_below, is_devkit_name
 from benchmark.datasets.schema import FaultList, StrictFaultList
@@ -34,7 +35,7 @@ from benchmark.extensions.infos.scene_infos import Info, SceneSources, build_sce
 from benchmark.extensions.infos.scene_rows import InfoTables, SceneTableRows
 from benchmark.extensions.infos.stand_in_root import StandInRoot, find_missing_cities
 from benchmark.machine.progress import CountedUnits, track_progress
-from benchmark.machine.storage import read_json, write_bytes, write_json
+from benchmark.machine.storage import read_cached_json, read_json, write_bytes, write_json
 from benchmark.report.words import pluralise
 
 CONVERTED_PREFIX: Final = "./data/nuscenes/"
@@ -247,6 +248,7 @@ class _RepairingInfoConverter(_InfoConverter):
         super().__init__(root, version, reader, settings)
         here = settings.root_as if settings.root_as is not None else str(root.resolve())
         self.prefix = f"{here.rstrip('/')}/"
+        self._artist = Artist.of(root, read_cached_json(root / version / PROVENANCE))
         self._times: list[tuple[str, int, int]] = []
         self._infos: dict[str, list[Info]] = {}
         if not Path(here).is_absolute():
@@ -269,6 +271,9 @@ class _RepairingInfoConverter(_InfoConverter):
 
     def _scene(self, rows: SceneTableRows) -> list[Info]:
         images = not self.settings.planning_only
+        if images and self._artist is not None and has_cameras(rows):
+            named = (row for channels in rows.key_frames.values() for row in channels.values())
+            self._artist.draw(rows.name, (self.root / row["filename"] for row in named), sweeps=False)
         repairs.require_usable(self.root, self.reader, rows, images=images)
         infos = super()._scene(rows)
         times = [sample["timestamp"] for sample in rows.samples]

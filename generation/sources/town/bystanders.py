@@ -44,7 +44,7 @@ def add_parked(world: TownWorld, near: Floats, rng: np.random.Generator, *, shar
             y = place.pose[1] + shift[0] * np.sin(turned) + lateral * np.cos(turned)
             length = min(body.length, 4.9) if place.in_car_park else min(body.length, 5.4)
             box = np.array([[x, y, length, body.width, turned]])
-            if world.is_free(box):
+            if world.is_free(box) and world.is_on_road(box):
                 world.tracks.append(ParticipantTrack(body.category, body.height, box, parked=True))
                 parked += 1
 
@@ -65,11 +65,14 @@ def _add_road_works(world: TownWorld, pose: Floats, rng: np.random.Generator) ->
 def add_walkers(world: TownWorld, near: Floats, rng: np.random.Generator, *, wanted: int) -> None:
     """Pedestrians on the pavements near the (K, 2) points of the ego's way, some of them standing."""
     added = 0
-    for _ in range(6 * wanted):
+    reach = np.concatenate([near.min(axis=0) - _WALK_REACH_M, near.max(axis=0) + _WALK_REACH_M])
+    walks = [walk for walk in world.town.walks if ((walk > reach[:2]) & (walk < reach[2:])).all(axis=1).any()]
+    lengths = np.array([compute_lengths(walk)[-1] for walk in walks])
+    for _ in range(12 * wanted if walks else 0):
         if added >= wanted:
             return
-        walk = world.town.walks[int(rng.integers(len(world.town.walks)))]
-        length = float(compute_lengths(walk)[-1])
+        choice = int(rng.choice(len(walks), p=lengths / lengths.sum()))
+        walk, length = walks[choice], float(lengths[choice])
         start = float(rng.uniform(0.0, length))
         if _compute_distance(near, interpolate_at_lengths(walk, np.array([start]))[0]) > _WALK_REACH_M:
             continue
@@ -156,7 +159,7 @@ def _add_pedestrian(world: TownWorld, line: Floats, along: Floats, rng: np.rando
     x, y = where[:, 0] - lateral * np.sin(yaw), where[:, 1] + lateral * np.cos(yaw)
     size = (0.5, 0.5, float(rng.uniform(1.1, 1.4))) if child else (0.7, 0.65, float(rng.uniform(1.58, 1.9)))
     boxes = np.column_stack([x, y, np.full(len(x), size[0]), np.full(len(x), size[1]), yaw])
-    if not world.is_free(boxes):
+    if not world.is_free(boxes) or world.surprises_ego(boxes):
         return False
     world.tracks.append(ParticipantTrack(_CHILD if child else _ADULT, round(size[2], 2), boxes, parked=False))
     return True

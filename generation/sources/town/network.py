@@ -81,18 +81,18 @@ _AVENUE_ROADS = (
     _RoadPlan("C", EAST, "E", WEST, 1, True, 10.0),
     _RoadPlan("E", EAST, "XE", WEST, 1, False, 11.0),
     _RoadPlan("P", SOUTH, "K", NORTH, 1, False, 6.0),
-    *(_RoadPlan(*ends, 1, index == 0, 11.0) for index, ends in enumerate(_OUTER)),
+    *(_RoadPlan(*ends, 1, index != 2, 11.0) for index, ends in enumerate(_OUTER)),
 )
 _RING_ROADS = (
     _RoadPlan("N", NORTH, "XN", SOUTH, 1, False, 11.0),
     _RoadPlan("N", SOUTH, "C", NORTH, 1, True, 10.0),
     _RoadPlan("C", SOUTH, "S", NORTH, 1, True, 10.0),
     _RoadPlan("S", SOUTH, "XS", NORTH, 1, False, 11.0),
-    _RoadPlan("W", EAST, "P", WEST, 1, False, 10.0),
+    _RoadPlan("W", EAST, "P", WEST, 1, True, 10.0),
     _RoadPlan("P", EAST, "C", WEST, 1, False, 10.0),
     _RoadPlan("C", EAST, "E", WEST, 1, True, 10.0),
     _RoadPlan("P", SOUTH, "K", NORTH, 1, False, 6.0),
-    *(_RoadPlan(*ends, 2, False, 13.0) for ends in _OUTER),
+    *(_RoadPlan(*ends, 2, index % 2 == 0, 13.0) for index, ends in enumerate(_OUTER)),
 )
 PLANS = ("avenue", "ring")
 
@@ -232,16 +232,35 @@ class Town:
     """A finished town; names of the lanes before and after each lane are sorted.
 
     ``crossing_walks`` are (2, 2) lines across the crossings, ``walks`` (M, 2) along the pavements, 1 m spacing.
+    ``signals`` are, of each lane that ends at traffic lights, the junction and which of its two phases is the lane's.
+    Traffic keeps to the right here; ``shown_map`` is the map of the scenes: the same, or its mirror image.
     """
 
     layout: TownLayout
     road_map: RoadMap
+    shown_map: RoadMap
+    signals: dict[str, tuple[str, int]]
     lanes: dict[str, TownLane]
     successors: dict[str, tuple[str, ...]]
     predecessors: dict[str, tuple[str, ...]]
     crossing_walks: tuple[Floats, ...]
     walks: tuple[Floats, ...]
     standing: tuple[ParkingPlace, ...]
+
+
+def find_signals(layout: TownLayout, arms: dict[str, list[JunctionArm]]) -> dict[str, tuple[str, int]]:
+    """Junction and phase of each lane that ends at traffic lights; roads that go on in each other share a phase.
+
+    Roundabouts have none, nor has the way into a car park.
+    """
+    signals: dict[str, tuple[str, int]] = {}
+    for node in layout.nodes.values():
+        roads = [arm.road for arm in arms[node.name]]
+        if node.kind is TownNodeKind.CROSSING and all(layout.roads[road].speed_mps >= 8.0 for road in roads):
+            for arm in arms[node.name]:
+                turned = abs(float(np.sin(arm.heading - arms[node.name][0].heading)))
+                signals |= {lane: (node.name, int(turned > np.sin(np.pi / 4))) for lane in arm.incoming}
+    return signals
 
 
 def build_strip(right: Floats, left: Floats) -> Polygon:

@@ -63,11 +63,15 @@ class RouteLeg:
 
 @dataclass(frozen=True, slots=True)
 class VehiclePath:
-    """Way of a vehicle, (M, 3) rear-axle x, y, yaw every `STATION_M`; (M,) limits, m/s, are by sign and curvature."""
+    """Way of a vehicle, (M, 3) rear-axle x, y, yaw every `STATION_M`; (M,) limits, m/s, are by sign and curvature.
+
+    ``halts`` are the stations, by lane, at which the front axle is at the end of a lane that ends at traffic lights.
+    """
 
     rear: Floats
     speed_limit: Floats
     body: VehicleBody
+    halts: tuple[tuple[int, str], ...] = ()
 
     def boxes(self, stations: Floats) -> Floats:
         """(K, 5) boxes at fractional stations."""
@@ -153,23 +157,35 @@ def _draw_leg(town: Town, name: str, rng: np.random.Generator, change_chance: fl
 
 
 def build_path(
-    town: Town, legs: list[RouteLeg], start_m: float, body: VehicleBody, *, lateral_m: float = 0.0
+    town: Town,
+    legs: list[RouteLeg],
+    start_m: float,
+    body: VehicleBody,
+    *,
+    lateral_m: float = 0.0,
+    pull_out_m: float = 0.0,
 ) -> VehiclePath:
     """The path of a vehicle along a route; its front axle follows the smoothed centrelines exactly.
 
     The rear axle is towed by the front axle, which is the kinematic bicycle with the front wheels along the path: it
     moves along the heading and never sideways. The front axle is at ``start_m`` of the first leg at station 0;
-    ``lateral_m`` is a constant offset to the left of the centrelines.
+    ``lateral_m`` is an offset to the left of the centrelines, constant or gone after ``pull_out_m``.
     """
-    lines, limits, along = [], [], 0.0
+    lines, limits, ends, along = [], [], [], 0.0
     for leg in legs:
         line = _build_leg_line(town, leg)
         limits.append((along, town.lanes[leg.lane].speed_mps))
         along += float(compute_lengths(line)[-1])
+        if leg.leaves_by in town.signals:
+            ends.append((round((along - start_m) / STATION_M), leg.leaves_by))
         lines.append(line)
     line = resample_line(join_lines(lines), STATION_M)
     spacing = float(np.hypot(*(line[1] - line[0])))
-    if lateral_m:
+    if pull_out_m:
+        # From the strip at the kerb, standing along it, into the lane.
+        u = np.clip((np.arange(len(line)) * spacing - start_m - 1.0) / pull_out_m, 0.0, 1.0)
+        line = offset_line(line, lateral_m * (1 - u**3 * (10 - 15 * u + 6 * u**2)))
+    elif lateral_m:
         line = offset_line(line, lateral_m)
     front = smooth_line(line, spacing_m=spacing, deviation_m=_SMOOTHING_M)
     walked = compute_lengths(front)
@@ -182,7 +198,7 @@ def build_path(
     limit = speeds[np.clip(np.searchsorted(starts, stations, side="right") - 1, 0, len(speeds) - 1)]
     bend = np.sqrt(_COMFORTABLE_LATERAL_MPS2 / np.maximum(np.abs(curvature), 1e-3))
     lead = round(LEAD_M / STATION_M)
-    return VehiclePath(rear[lead:], np.minimum(limit, bend)[lead:], body)
+    return VehiclePath(rear[lead:], np.minimum(limit, bend)[lead:], body, tuple(ends))
 
 
 def compute_fastest_start(path: VehiclePath) -> float:

@@ -1,5 +1,6 @@
 """Scenes of the embedded town, a pure function of split, index and seed, and the annotations of their keyframes."""
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import Literal, get_args
 
@@ -22,31 +23,40 @@ from generation.sources.town.bystanders import (
 )
 from generation.sources.town.curves import interpolate_grid
 from generation.sources.town.driven_ego import PlannerDrive, plan_ways_back
+from generation.sources.town.mirror import mirror_points
 from generation.sources.town.network import Town
 from generation.sources.town.off_path import KEPT_ON_PATH_EVERY, PlannedEgo, drive_off_path
-from generation.sources.town.paths import EGO_BODY, RouteLeg, build_path, compute_fastest_start, compute_lane_length
-from generation.sources.town.speed import FRAMES
+from generation.sources.town.paths import (
+    EGO_BODY,
+    LEAD_M,
+    STATION_M,
+    RouteLeg,
+    VehiclePath,
+    build_path,
+    compute_fastest_start,
+    compute_lane_length,
+)
+from generation.sources.town.speed import FRAMES, DriverHabits
 from generation.sources.town.themes import (
     PROGRAMME,
+    EgoLight,
     SceneProgramme,
     compute_route_points,
     draw_ego_route,
-    draw_leader_pace,
 )
 from generation.sources.town.towns import TOWN_VERSION, build_town
 from generation.sources.town.traffic import (
-    BUS,
-    SEDAN,
+    CARS,
+    MIXED,
     LanePoints,
-    VehicleStart,
     add_companions,
     add_cycles,
+    add_on_path,
     add_passing,
-    add_vehicle,
-    build_route_weights,
+    add_pulling_out,
     draw_natural_pace,
 )
-from generation.sources.town.world import TownWorld
+from generation.sources.town.world import TownWorld, TrafficLights
 
 _RAYS = 7
 _LIDAR_POINTS_M2 = 4200.0
@@ -134,7 +144,7 @@ def _choose_attributes(agents: Agents, parked: Bools, keyframes: NDArray[np.int6
 
 
 Split = Literal["val", "train"]
-DEFAULT_VAL_SCENES = 10
+DEFAULT_VAL_SCENES = 30
 
 _NUMBERS: dict[str, tuple[range, ...]] = {"val": (range(8000, 9000),), "train": (range(9000, 10000), range(2000, 8000))}
 MOST_TRAIN_SCENES = sum(map(len, _NUMBERS["train"]))
@@ -143,14 +153,19 @@ _FIRST_DAY_US = 1_767_254_400_000_000
 _DAY_US = 86_400_000_000
 _SCENE_SPACING_US = 30_000_000
 _DIGITS = 6
+_LONG_CLEARANCE_S = 7.0
+"""Where the ego comes at the end of green: until it stands."""
 _TRIES = 24
 _TRIES_PER_TOWN = 2
+_PLAIN_TRIES = 8
+"""Where neither town has room for one ahead or behind as well."""
 _LEADER_TRIES = 6
-_LEAST_NEIGHBOURS = 3
-_NEIGHBOUR_REACH_M = 20.0
-_LEAST_SECONDS_NEAR = 3
-_LEAST_SECONDS_PRESENT = 10
-_LEAST_EGO_DISTANCE_M = 60.0
+_LEAST_NEIGHBOURS = 2
+_NEIGHBOUR_REACH_M = 25.0
+_LEAST_SECONDS_NEAR = 1.5
+_LEAST_SECONDS_PRESENT = 6
+_LEAST_DISTANCE_M = 6.0
+_LEAST_EGO_DISTANCE_M = 30.0
 
 
 def list_town_scene_names(split: Split, count: int) -> tuple[str, ...]:
@@ -185,8 +200,9 @@ def build_town_scene_driven(
 ) -> tuple[Scene, DrivenEgoTargets]:
     """A scene as of `build_town_scene` but with the ego as driven, and a good driver's way from each key frame."""
     world, planned, programme = _find_populated_world("train", index, seed, crossing)
-    wanted = plan_ways_back(world, planned, driven)
-    world.place_ego(driven.rear())
+    inside = replace(driven, poses=_show(world.town, driven.poses))
+    wanted = _show(world.town, plan_ways_back(world, planned, inside))
+    world.place_ego(inside.rear())
     name = list_town_scene_names("train", index + 1)[-1]
     scene = _assemble_scene(world, programme, "train", index, seed, name)
     frames = (len(driven) - 1) * FRAMES_PER_KEYFRAME + 1
@@ -202,6 +218,10 @@ def _build_scene(
         leaving = np.random.default_rng(content_seed("off path", TOWN_VERSION, split, index, seed))
         rear, excursions = drive_off_path(world, planned, leaving)
         world.place_ego(rear)
+        if _is_left_handed(world.town):
+            excursions = tuple(
+                replace(one, lateral_m=-one.lateral_m, heading_rad=-one.heading_rad) for one in excursions
+            )
     name = list_town_scene_names(split, index + 1)[-1]
     return _assemble_scene(world, programme, split, index, seed, name), excursions
 
@@ -221,6 +241,8 @@ def _find_populated_world(
         # A drive given the wrong number of them gets another ego, not the same one with other pedestrians.
         also = (crossing,) if crossing else ()
         rng = np.random.default_rng(content_seed("town scene", TOWN_VERSION, split, index, seed, attempt, *also))
+        if attempt == _TRIES - _PLAIN_TRIES:
+            programme = replace(programme, leader=False, follower=False)
         populated = _populate(town, location, seed, programme, rng, crossing)
         if populated is None or not _is_worth_attacking(populated[0]):
             continue
@@ -238,61 +260,106 @@ def _populate(
 ) -> tuple[TownWorld, PlannedEgo] | None:
     """One attempt at a scene: a route, then all others in the order in which they have the right of way."""
     theme = programme.theme
-    route = draw_ego_route(town, theme, rng)
+    route = draw_ego_route(town, programme, rng)
     if route is None:
         return None
     legs, start_m = route
     points = _build_lane_points(location, seed)
     way = compute_route_points(town, legs, start_m, 200.0)
-    world = TownWorld(town)
-    add_parked(world, way, rng, share=0.7, most=theme.parked)
-    pace = draw_natural_pace(rng) if theme.leader == "none" else draw_leader_pace(theme, rng)
-    if theme.leader != "none" and not _add_leader(world, programme, legs, start_m, pace, rng):
-        return None
-    add_crossing_pedestrians(world, way[5:], rng, wanted=theme.crossing)
     path = build_path(town, legs, start_m, EGO_BODY)
     eagerness = float(rng.uniform(0.82, 0.98))
+    start = int(min(eagerness * float(path.speed_limit[0]), compute_fastest_start(path)) + 0.3)
+    slower = float(rng.uniform(0.62, 0.75)) if programme.leader else 1.0
+    start = min(start, int(slower * float(path.speed_limit[0])) + 1)
+    if programme.light is EgoLight.WAITS:
+        start = 0
+    world = TownWorld(town, _draw_lights(town, programme, path, start, rng))
+    add_parked(world, way, rng, share=0.65, most=theme.parked)
+    if programme.leader and not _add_leader(world, legs, start_m, start, slower, rng):
+        return None
+    if programme.light is EgoLight.GREEN:
+        add_crossing_pedestrians(world, way[5:], rng, wanted=theme.crossing)
     if crossing:
         speed = eagerness * float(np.mean(path.speed_limit))
         add_meeting_pedestrians(world, way, rng, wanted=crossing, speed_mps=speed)
-    start = int(min(eagerness * float(path.speed_limit[0]), compute_fastest_start(path)) + 0.3)
-    if theme.leader == "slow":
-        start = min(start, 9)
-    elif theme.leader == "stop-and-go":
-        # The search knows the leader's future and would creep; a driver does what the car ahead did a second ago.
-        start, pace = min(start, 6), np.concatenate([pace[:1], pace[:-1]])
-    stations = world.stations(
-        path, start_mps=start, eagerness=eagerness, pace=draw_natural_pace(rng) if theme.leader == "slow" else pace
-    )
+    stations = world.stations(path, start_mps=start, habits=DriverHabits(eagerness, draw_natural_pace(rng)))
     if stations is None:
         return None
     rear = interpolate_grid(path.rear, stations)
     world.place_ego(rear)
+    world.expect_ego(path, stations)
+    if programme.light is not EgoLight.GREEN:
+        add_crossing_pedestrians(world, way[5:], rng, wanted=2 * theme.crossing)
+    if programme.follower and not _add_follower(world, legs, start_m, start, rng):
+        return None
     add_companions(world, points, legs, rng, wanted=theme.companions)
-    add_passing(world, points, rng, wanted=theme.passing, attempts=3 * theme.passing)
+    add_pulling_out(world, points, rear[:, :2], rng, wanted=theme.pulling_out)
+    add_passing(world, points, rng, wanted=theme.passing, attempts=4 * theme.passing)
     add_cycles(world, points, rng, wanted=1 + int(rng.integers(2)), attempts=8)
     add_walkers(world, rear[:, :2], rng, wanted=theme.pedestrians)
     return world, PlannedEgo(path, stations)
 
 
+def _draw_lights(
+    town: Town, programme: SceneProgramme, path: VehiclePath, start_mps: int, rng: np.random.Generator
+) -> dict[str, TrafficLights]:
+    """Lights of all junctions; those that the ego meets first are as the programme says, later ones are green."""
+    nodes = sorted({node for node, _ in town.signals.values()})
+    lights = {node: TrafficLights(int(rng.integers(2)), float(rng.uniform(3.0, 17.0))) for node in nodes}
+    light = programme.light
+    for station, lane in path.halts:
+        node, phase = town.signals[lane]
+        arrives = max(station, 0) * STATION_M / max(start_mps, 6.0)
+        if light is EgoLight.WAITS:
+            lights[node] = TrafficLights(1 - phase, float(rng.uniform(6.0, 11.0)))
+        elif light is EgoLight.RED:
+            lights[node] = TrafficLights(1 - phase, arrives + float(rng.uniform(6.0, 9.0)))
+        elif light is EgoLight.STOPS:
+            lights[node] = TrafficLights(phase, max(arrives - float(rng.uniform(3.0, 5.0)), 1.0), _LONG_CLEARANCE_S)
+        else:
+            lights[node] = TrafficLights(phase, arrives + float(rng.uniform(6.0, 9.0)))
+        light = EgoLight.GREEN
+    return lights
+
+
 def _add_leader(
     world: TownWorld,
-    programme: SceneProgramme,
     legs: list[RouteLeg],
     start_m: float,
-    pace: Floats,
+    start_mps: int,
+    eagerness: float,
     rng: np.random.Generator,
 ) -> bool:
-    slow = programme.theme.leader == "slow"
-    ahead, index = start_m + float(rng.uniform(24.0, 30.0) if slow else rng.uniform(15.0, 19.0)), 0
-    while ahead > compute_lane_length(world.town.lanes[legs[index].lane]):
-        ahead -= compute_lane_length(world.town.lanes[legs[index].lane])
-        index += 1
-    start, body = VehicleStart(legs[index].lane, ahead, 6.0), BUS if slow else SEDAN
-    likes = build_route_weights(world.town, legs)
-    return any(
-        add_vehicle(world, start, body, rng, likes=likes, pace=pace, change_chance=0.0) for _ in range(_LEADER_TRIES)
-    )
+    """One who drives where the ego goes, a little slower than the ego would like to."""
+    for _ in range(_LEADER_TRIES):
+        body = MIXED.draw(rng)
+        ahead = start_m + body.length + max(1.5 + float(rng.uniform(1.45, 1.75)) * start_mps, 4.5)
+        path = build_path(world.town, legs, ahead, body)
+        habits = DriverHabits(eagerness, draw_natural_pace(rng))
+        if add_on_path(world, path, start_mps, habits):
+            return True
+    return False
+
+
+def _add_follower(
+    world: TownWorld, legs: list[RouteLeg], start_m: float, start_mps: int, rng: np.random.Generator
+) -> bool:
+    """One who drives behind the ego, and would like to be faster."""
+    for _ in range(_LEADER_TRIES):
+        body = CARS.draw(rng)
+        behind = start_m - EGO_BODY.length - 2.5 - float(rng.uniform(2.0, 2.4)) * start_mps
+        before = list(legs)
+        while behind < LEAD_M:
+            options = world.town.predecessors[before[0].lane]
+            if not options:
+                return False
+            before.insert(0, RouteLeg(options[int(rng.integers(len(options)))]))
+            behind += compute_lane_length(world.town.lanes[before[0].lane])
+        path = build_path(world.town, before, behind, body)
+        habits = DriverHabits(float(rng.uniform(1.0, 1.1)), draw_natural_pace(rng), headway_s=2.0, ego_gap_s=1.5)
+        if add_on_path(world, path, start_mps, habits):
+            return True
+    return False
 
 
 def _is_worth_attacking(world: TownWorld) -> bool:
@@ -305,7 +372,8 @@ def _is_worth_attacking(world: TownWorld) -> bool:
         if track.category == "vehicle.car" and len(track.boxes) > 1:
             near = world.compute_distance_to_ego(track.boxes) < _NEIGHBOUR_REACH_M
             enough += bool(
-                near.sum() >= _LEAST_SECONDS_NEAR * FRAME_HZ
+                np.ptp(track.boxes[:, :2], axis=0).max() > _LEAST_DISTANCE_M
+                and near.sum() >= _LEAST_SECONDS_NEAR * FRAME_HZ
                 and world.present(track.boxes).sum() >= _LEAST_SECONDS_PRESENT * FRAME_HZ
             )
     return enough >= _LEAST_NEIGHBOURS
@@ -313,17 +381,18 @@ def _is_worth_attacking(world: TownWorld) -> bool:
 
 def _assemble_scene(world: TownWorld, programme: SceneProgramme, split: str, index: int, seed: int, name: str) -> Scene:
     assert world.ego_rear is not None
-    rear = np.round(world.ego_rear, _DIGITS)
+    rear = np.round(_show(world.town, world.ego_rear), _DIGITS)
     ego = EgoTrack(np.column_stack([rear[:, :2], np.zeros(FRAMES)]), quaternion_from_yaw(rear[:, 2]))
     agents, parked = _build_agents(world, (split, index, seed))
     keyframes = np.arange(0, FRAMES, FRAMES_PER_KEYFRAME)
     location = world.town.road_map.location
+    near, far = ("left", "right") if _is_left_handed(world.town) else ("right", "left")
     day = OFFICIAL_LOCATIONS.index(location)
     first = _FIRST_DAY_US + day * _DAY_US + index * _SCENE_SPACING_US
     return Scene(
         name=name,
         token=make_token("town scene", TOWN_VERSION, split, index, seed),
-        description=f"{programme.theme.title}, {programme.look.value}",
+        description=f"{programme.theme.title.format(near=near, far=far)}, {programme.look.value}",
         log=f"n000-2026-01-{day + 1:02d}-08-00-00+0000",
         vehicle="n000",
         date=f"2026-01-{day + 1:02d}",
@@ -334,8 +403,17 @@ def _assemble_scene(world: TownWorld, programme: SceneProgramme, split: str, ind
         annotations=build_annotations(agents, parked, ego, keyframes),
         cameras=build_default_cameras(),
         lidar=build_default_lidar(),
-        road_map=world.town.road_map,
+        road_map=world.town.shown_map,
     )
+
+
+def _is_left_handed(town: Town) -> bool:
+    return town.shown_map is not town.road_map
+
+
+def _show(town: Town, poses: Floats) -> Floats:
+    """(..., 2) points or (..., 3) poses as on the town's shown map, or back from there."""
+    return mirror_points(poses) if _is_left_handed(town) else poses
 
 
 def _build_agents(world: TownWorld, key: tuple[str, int, int]) -> tuple[Agents, Bools]:
@@ -348,13 +426,14 @@ def _build_agents(world: TownWorld, key: tuple[str, int, int]) -> tuple[Agents, 
             size = [float(boxes[0, 2]), float(boxes[0, 3]), track.height]
             rows.append((track.category, boxes[_find_nearest_valid(valid)], valid, size, track.parked))
     held = np.stack([row[1] for row in rows])
+    shown = _show(world.town, held[..., [0, 1, 4]])
     size = np.round(np.array([row[3] for row in rows]), 3)
     height = np.broadcast_to(size[:, None, 2] / 2, held.shape[:2])
     agents = Agents(
         ids=tuple(make_token("town agent", TOWN_VERSION, *key, row) for row in range(len(rows))),
         categories=tuple(row[0] for row in rows),
-        position=np.round(np.concatenate([held[..., :2], height[..., None]], axis=-1), _DIGITS),
-        yaw=np.round(wrap_angle(held[..., 4]), _DIGITS),
+        position=np.round(np.concatenate([shown[..., :2], height[..., None]], axis=-1), _DIGITS),
+        yaw=np.round(wrap_angle(shown[..., 2]), _DIGITS),
         size=size,
         valid=np.stack([row[2] for row in rows]),
     )

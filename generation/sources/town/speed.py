@@ -4,6 +4,8 @@ Vehicles are planned one after another; each sees the whole motion of those befo
 over a lattice of whole metres per second and one-second steps, then smoothed so that acceleration is continuous.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,10 +20,11 @@ TOP_SPEED_MPS = 14
 _ACCELERATIONS = (0, 1, -1, 2, -2, -3)
 _ACCELERATION_COST = 0.3
 _SPEED_COST = 0.08
+_SLOWEST_FELT_MPS = 4.0
+"""Slower than liked by more costs the same: who must wait drives up to the queue and stands there."""
 _SPEEDING_COST = 2.0
 _CREEPING_COST = 0.5
 _HEADWAY_COST = 0.25
-_HEADWAY_S = 1.1
 _HEADWAY_AT_START_S = 0.6
 _GAP_BEHIND_S = 0.8
 _LIMIT_REACH_M = 5.0
@@ -30,6 +33,34 @@ _STANDING_GAP_M = 2.5
 _LONGITUDINAL_MARGIN_M = 1.2
 _LATERAL_MARGIN_M = 0.5
 _FAR_M = 14.0
+
+
+@dataclass(frozen=True, slots=True)
+class DriverHabits:
+    """How a driver likes to drive.
+
+    Attributes:
+        eagerness: Factor on the speed limit.
+        pace: (SECONDS,) factors on that.
+        headway_s: Time to the vehicle ahead, beside the gap when standing.
+        ego_gap_s: Least seconds between the ego at a place and this vehicle there.
+        gives_way_s: The same for others.
+    """
+
+    eagerness: float
+    pace: Floats
+    headway_s: float = 1.2
+    ego_gap_s: float = 1.25
+    gives_way_s: float = 1.0
+
+
+def widen_in_time(blocked: Bools, seconds: float) -> Bools:
+    """(Q, B) places that are blocked at most so long before or after each of Q quarter seconds."""
+    reach = round(seconds * CHECKS_PER_SECOND)
+    padded = np.concatenate([np.zeros((1, blocked.shape[1]), np.int32), np.cumsum(blocked, axis=0, dtype=np.int32)])
+    steps = np.arange(len(blocked))
+    last, first = np.minimum(steps + reach + 1, len(blocked)), np.maximum(steps - reach, 0)
+    return np.asarray(padded[last] > padded[first])
 
 
 def count_reachable_stations(path: VehiclePath) -> int:
@@ -65,29 +96,29 @@ def find_blocked_stations(path: VehiclePath, others: Floats, present: Bools) -> 
 
 
 def plan_speed(
-    path: VehiclePath, blocked: Bools, *, start_mps: int, desired_mps: Floats, pace: Floats
+    path: VehiclePath, blocked: Bools, others: Bools, *, start_mps: int, habits: DriverHabits
 ) -> Floats | None:
     """The cheapest profile along a path: (FRAMES,) fractional stations, or ``None`` if every profile touches another.
 
-    ``blocked`` is (4 * SECONDS + 1, B) from `find_blocked_stations`, ``desired_mps`` (B,) the driver's liking at each
-    station, ``pace`` (SECONDS,) a factor on it.
+    Both are (4 * SECONDS + 1, B): ``blocked`` where it may not be, ``others`` (`find_blocked_stations`) where others
+    are to whom it keeps its distance.
     """
     room = round((_STANDING_GAP_M + _HEADWAY_AT_START_S * start_mps) / STATION_M)
-    choices = None if blocked[0, :room].any() else _search(path, blocked, start_mps, desired_mps, pace)
+    choices = None if blocked[0, :room].any() else _search(path, blocked, others, start_mps, habits)
     if choices is None:
         return None
     return _compute_smooth_motion(start_mps, choices) / STATION_M
 
 
-def _search(path: VehiclePath, blocked: Bools, start_mps: int, desired: Floats, pace: Floats) -> list[int] | None:
+def _search(path: VehiclePath, blocked: Bools, others: Bools, start_mps: int, habits: DriverHabits) -> list[int] | None:
     # Imported late: it takes half a second, which commands that make no town need not wait for.
     from scipy.ndimage import minimum_filter1d
 
     count = blocked.shape[1]
     index = np.arange(count)
-    next_blocked = np.where(blocked, index, 10 * count)[:, ::-1]
+    next_blocked = np.where(others, index, 10 * count)[:, ::-1]
     gap = (np.minimum.accumulate(next_blocked, axis=1)[:, ::-1] - index) * STATION_M
-    behind = (index - np.maximum.accumulate(np.where(blocked, index, -10 * count), axis=1)) * STATION_M
+    behind = (index - np.maximum.accumulate(np.where(others, index, -10 * count), axis=1)) * STATION_M
     speeds = np.arange(TOP_SPEED_MPS + 1)[:, None]
     # A second passes between two states: limits a little further on or back must hold here too.
     limit = minimum_filter1d(path.speed_limit, 2 * round(_LIMIT_REACH_M / STATION_M) + 1)[:count]
@@ -97,11 +128,11 @@ def _search(path: VehiclePath, blocked: Bools, start_mps: int, desired: Floats, 
     cost[start_mps * count] = 0.0
     chosen = []
     for second in range(SECONDS):
-        wanted = np.minimum(desired[:count] * pace[second], limit)
-        wish = speeding + _SPEED_COST * (speeds - wanted) ** 2
+        wanted = np.minimum(habits.eagerness * path.speed_limit[:count] * habits.pace[second], limit)
+        wish = speeding + _SPEED_COST * np.minimum(np.abs(speeds - wanted), _SLOWEST_FELT_MPS) ** 2
         wish = wish + _CREEPING_COST * ((wanted < 0.1) & (speeds > 0))
         now = CHECKS_PER_SECOND * (second + 1)
-        missing = np.maximum(_STANDING_GAP_M + _HEADWAY_S * speeds - gap[now], 0.0)
+        missing = np.maximum(_STANDING_GAP_M + habits.headway_s * speeds - gap[now], 0.0)
         crowded = np.maximum(_STANDING_GAP_M + _GAP_BEHIND_S * speeds - behind[now], 0.0)
         company = np.minimum(missing, 10.0) + 0.5 * np.minimum(crowded, 10.0)
         here = (wish + _HEADWAY_COST * company * (speeds > 0)).ravel()

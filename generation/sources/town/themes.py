@@ -1,7 +1,8 @@
-"""Themes of scenes: route of the ego, traffic around it, and light."""
+"""Themes of scenes: route of the ego, traffic around it, traffic lights, and light."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
@@ -10,7 +11,6 @@ from benchmark.scene import Conditions
 from generation.sources.town.curves import compute_headings, compute_lengths
 from generation.sources.town.network import LaneRole, Town, TownLane
 from generation.sources.town.paths import LEAD_M, RouteLeg, compute_lane_length, find_route
-from generation.sources.town.speed import SECONDS
 
 EGO_ROUTE_M = 285.0
 _ROUTE_TRIES = 400
@@ -27,10 +27,9 @@ class RouteStretch:
 
 @dataclass(frozen=True, slots=True)
 class SceneTheme:
-    """A kind of scene; ``begins_on`` is where the ego starts.
+    """A kind of place: how the ego comes through it, and who else is there at most.
 
-    ``leader`` is ``none``, ``slow`` (a bus or truck) or ``stop-and-go``; ``companions`` are around the ego at the
-    start, ``passing`` meet it later; ``parked`` is at most.
+    ``begins_on`` is where the ego starts. ``title`` may name the ``{near}`` and the ``{far}`` side of traffic.
     """
 
     name: str
@@ -38,11 +37,11 @@ class SceneTheme:
     fits: Callable[[list[RouteStretch]], bool]
     begins_on: LaneRole = LaneRole.ROAD
     change_chance: float = 0.0
-    leader: str = "none"
-    companions: int = 5
-    passing: int = 9
-    parked: int = 8
-    pedestrians: int = 6
+    companions: int = 1
+    passing: int = 7
+    pulling_out: int = 1
+    parked: int = 30
+    pedestrians: int = 20
     crossing: int = 1
 
 
@@ -71,8 +70,35 @@ def _compute_bend(route: list[RouteStretch], distance_m: float) -> float:
     return sum(abs(float(np.ptp(compute_headings(part.lane.line)))) for part in parts)
 
 
-def _fits_neighbours(route: list[RouteStretch]) -> bool:
-    return _is_straight_until(route, 190.0) and _is_multi_lane(route, 190.0) and _compute_bend(route, 190.0) < 0.7
+def _avoids_car_park(route: list[RouteStretch]) -> bool:
+    return all(part.lane.speed_mps >= 8.0 for part in route)
+
+
+def _fits_avenue(route: list[RouteStretch]) -> bool:
+    return _is_straight_until(route, 190.0) and _is_multi_lane(route, 190.0)
+
+
+def _fits_street(route: list[RouteStretch]) -> bool:
+    start = next(part for part in route if part.end_m > 0)
+    single = len(start.lane.siblings) == 1 and start.lane.role is LaneRole.ROAD
+    return single and _is_straight_until(route, 110.0) and start.lane.speed_mps <= 10.0 and _avoids_car_park(route)
+
+
+def _fits_bend(route: list[RouteStretch]) -> bool:
+    start = next(part for part in route if part.end_m > 0)
+    return _is_straight_until(route, 150.0) and _compute_bend(route, 110.0) > 1.2 and start.end_m > 110.0
+
+
+def _fits_crossing(route: list[RouteStretch]) -> bool:
+    return _is_straight_until(route, 130.0) and _has_role(route, LaneRole.STRAIGHT, 0.0, 85.0)
+
+
+def _fits_far_turn(route: list[RouteStretch]) -> bool:
+    return _has_role(route, LaneRole.LEFT, 0.0, 85.0) and _avoids_car_park(route)
+
+
+def _fits_near_turn(route: list[RouteStretch]) -> bool:
+    return _has_role(route, LaneRole.RIGHT, 0.0, 85.0) and _avoids_car_park(route)
 
 
 def _fits_roundabout(route: list[RouteStretch]) -> bool:
@@ -80,82 +106,86 @@ def _fits_roundabout(route: list[RouteStretch]) -> bool:
     return _has_role(route, LaneRole.RING_ENTRY, 30.0, 75.0) and long_way and _avoids_car_park(route)
 
 
-def _fits_left_turn(route: list[RouteStretch]) -> bool:
-    return _has_role(route, LaneRole.LEFT, 45.0, 85.0) and _avoids_car_park(route)
-
-
-def _fits_right_turn(route: list[RouteStretch]) -> bool:
-    return _has_role(route, LaneRole.RIGHT, 45.0, 85.0) and _avoids_car_park(route)
-
-
-def _avoids_car_park(route: list[RouteStretch]) -> bool:
-    return all(part.lane.speed_mps >= 8.0 for part in route)
-
-
 def _fits_car_park(route: list[RouteStretch]) -> bool:
     start = next(part for part in route if part.end_m > 0)
     return start.lane.role is LaneRole.CAR_PARK and 14.0 < start.end_m < 26.0
 
 
-def _fits_multi_lane_straight(route: list[RouteStretch]) -> bool:
-    return _is_straight_until(route, 130.0) and _is_multi_lane(route, 130.0)
+AVENUE = SceneTheme("avenue", "Four-lane road", _fits_avenue, change_chance=0.2, companions=2)
+STREET = SceneTheme("street", "Street with parked cars", _fits_street, pulling_out=2, parked=40, pedestrians=26)
+BEND = SceneTheme("bend", "Long bend", _fits_bend)
+CROSSING = SceneTheme("crossing", "Straight on at a junction with traffic lights", _fits_crossing, crossing=2)
+FAR_TURN = SceneTheme("far-turn", "Turn to the {far} at a junction, across oncoming traffic", _fits_far_turn)
+NEAR_TURN = SceneTheme("near-turn", "Turn to the {near} at a junction", _fits_near_turn, crossing=2)
+ROUNDABOUT = SceneTheme("roundabout", "Roundabout", _fits_roundabout, passing=8)
+CAR_PARK = SceneTheme("car-park", "Leaving a car park", _fits_car_park, LaneRole.CAR_PARK, companions=0, parked=40)
 
 
-def _fits_curve(route: list[RouteStretch]) -> bool:
-    start = next(part for part in route if part.end_m > 0)
-    return _is_straight_until(route, 150.0) and _compute_bend(route, 110.0) > 1.2 and start.end_m > 120.0
+class EgoLight(StrEnum):
+    """Traffic lights that the ego meets first: green, red at the start, red when it comes, or red until the end."""
+
+    GREEN = "green"
+    WAITS = "waits"
+    RED = "red"
+    STOPS = "stops"
 
 
-def _fits_oncoming(route: list[RouteStretch]) -> bool:
-    start = next(part for part in route if part.end_m > 0)
-    single = len(start.lane.siblings) == 1 and start.lane.role is LaneRole.ROAD
-    return single and start.end_m > 75.0 and _avoids_car_park(route) and start.lane.speed_mps <= 11.0
-
-
-NEIGHBOURS = SceneTheme(
-    "neighbours", "Four-lane road with cars on both sides", _fits_neighbours, change_chance=0.4, companions=7
-)
-ROUNDABOUT = SceneTheme("roundabout", "Roundabout with entering traffic", _fits_roundabout, passing=12)
-LEFT = SceneTheme("left", "Left turn at a junction", _fits_left_turn, passing=12, crossing=2)
-RIGHT = SceneTheme("right", "Right turn at a junction", _fits_right_turn, passing=12, crossing=2)
-SLOW_LEADER = SceneTheme(
-    "slow-leader", "Four-lane road, bus ahead", _fits_multi_lane_straight, leader="slow", passing=14, pedestrians=9
-)
-CAR_PARK = SceneTheme(
-    "car-park", "Leaving a car park", _fits_car_park, LaneRole.CAR_PARK, companions=1, passing=14, parked=14
-)
-STOP_AND_GO = SceneTheme(
-    "stop-and-go", "Stop-and-go traffic", _fits_multi_lane_straight, leader="stop-and-go", companions=8, passing=14
-)
-CURVE = SceneTheme(
-    "curve", "Long bend with traffic", _fits_curve, change_chance=0.3, companions=7, passing=14, pedestrians=9
-)
-ONCOMING = SceneTheme(
-    "oncoming", "Street with oncoming and parked cars", _fits_oncoming, passing=13, parked=12, pedestrians=8
-)
+_HALT_AHEAD_M = {
+    EgoLight.GREEN: (-np.inf, np.inf),
+    EgoLight.WAITS: (11.0, 12.0),
+    EgoLight.RED: (35.0, 70.0),
+    EgoLight.STOPS: (50.0, 120.0),
+}
+"""Metres from the ego's start to the end of the first lane that ends at traffic lights."""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneProgramme:
-    """A theme and the light and weather in which it is shown."""
+    """A theme, the light and weather in which it is shown, traffic lights, and who drives with the ego."""
 
     theme: SceneTheme
     look: Conditions
+    light: EgoLight = EgoLight.GREEN
+    leader: bool = False
+    follower: bool = False
 
+
+_DAY, _DUSK, _NIGHT, _RAIN = Conditions.DAY, Conditions.DUSK, Conditions.NIGHT, Conditions.RAIN
+_GREEN, _WAITS, _RED, _STOPS = EgoLight.GREEN, EgoLight.WAITS, EgoLight.RED, EgoLight.STOPS
 
 PROGRAMME = (
-    SceneProgramme(NEIGHBOURS, Conditions.DAY),
-    SceneProgramme(ROUNDABOUT, Conditions.DAY),
-    SceneProgramme(LEFT, Conditions.DUSK),
-    SceneProgramme(SLOW_LEADER, Conditions.RAIN),
-    SceneProgramme(CAR_PARK, Conditions.DAY),
-    SceneProgramme(CURVE, Conditions.DAY),
-    SceneProgramme(STOP_AND_GO, Conditions.DUSK),
-    SceneProgramme(ONCOMING, Conditions.RAIN),
-    SceneProgramme(ROUNDABOUT, Conditions.DUSK),
-    SceneProgramme(RIGHT, Conditions.DAY),
+    SceneProgramme(AVENUE, _DAY, leader=True),
+    SceneProgramme(STREET, _DAY),
+    SceneProgramme(FAR_TURN, _DUSK, _WAITS),
+    SceneProgramme(ROUNDABOUT, _DAY, follower=True),
+    SceneProgramme(CROSSING, _RAIN, _RED),
+    SceneProgramme(CAR_PARK, _DAY),
+    SceneProgramme(BEND, _NIGHT, leader=True),
+    SceneProgramme(STREET, _DAY, leader=True),
+    SceneProgramme(CROSSING, _DAY, _STOPS, follower=True),
+    SceneProgramme(AVENUE, _DUSK, follower=True),
+    SceneProgramme(NEAR_TURN, _RAIN, _RED),
+    SceneProgramme(STREET, _NIGHT),
+    SceneProgramme(CROSSING, _DAY, _WAITS, leader=True),
+    SceneProgramme(ROUNDABOUT, _DUSK),
+    SceneProgramme(CROSSING, _DAY, _RED),
+    SceneProgramme(AVENUE, _RAIN, leader=True, follower=True),
+    SceneProgramme(STREET, _DUSK, follower=True),
+    SceneProgramme(FAR_TURN, _DAY, _RED),
+    SceneProgramme(CAR_PARK, _NIGHT),
+    SceneProgramme(CROSSING, _DAY, _WAITS),
+    SceneProgramme(AVENUE, _NIGHT, _STOPS),
+    SceneProgramme(BEND, _RAIN, follower=True),
+    SceneProgramme(STREET, _DAY, leader=True),
+    SceneProgramme(NEAR_TURN, _DAY, _WAITS),
+    SceneProgramme(AVENUE, _DAY, leader=True),
+    SceneProgramme(CROSSING, _DUSK, _WAITS, leader=True),
+    SceneProgramme(ROUNDABOUT, _RAIN),
+    SceneProgramme(STREET, _RAIN, leader=True),
+    SceneProgramme(CROSSING, _NIGHT, _STOPS),
+    SceneProgramme(AVENUE, _DAY, leader=True),
 )
-"""Scene ``index`` shows entry ``index % 10``; the towns of a split alternate with the index."""
+"""Scene ``index`` shows entry ``index % 30``; the towns of a split alternate with the index."""
 
 
 def build_stretches(town: Town, legs: list[RouteLeg], start_m: float) -> list[RouteStretch]:
@@ -168,31 +198,34 @@ def build_stretches(town: Town, legs: list[RouteLeg], start_m: float) -> list[Ro
     return parts
 
 
-def draw_ego_route(town: Town, theme: SceneTheme, rng: np.random.Generator) -> tuple[list[RouteLeg], float] | None:
-    """A random route that suits a theme: legs and start as from `find_route`, or ``None`` if the town has none."""
+def draw_ego_route(
+    town: Town, programme: SceneProgramme, rng: np.random.Generator
+) -> tuple[list[RouteLeg], float] | None:
+    """A random route that suits a programme: legs and start as from `find_route`; ``None`` if the town has none."""
+    theme = programme.theme
     names = [name for name, lane in town.lanes.items() if lane.role is theme.begins_on and town.predecessors[name]]
+    if programme.light is EgoLight.WAITS:
+        names = [name for name in names if name in town.signals]
     for _ in range(_ROUTE_TRIES):
         name = names[int(rng.integers(len(names)))]
-        start = float(rng.uniform(LEAD_M, max(compute_lane_length(town.lanes[name]) - 20.0, LEAD_M + 1.0)))
+        length = compute_lane_length(town.lanes[name])
+        start = float(rng.uniform(LEAD_M, max(length - 20.0, LEAD_M + 1.0)))
+        if programme.light is EgoLight.WAITS:
+            start = length - 11.7
         route = find_route(
             town, name, start, EGO_ROUTE_M, rng, likes=_weigh_ego_lane, change_chance=theme.change_chance
         )
-        if route is not None and theme.fits(build_stretches(town, *route)):
+        if route is None:
+            continue
+        stretches, (nearest, farthest) = build_stretches(town, *route), _HALT_AHEAD_M[programme.light]
+        halts = [part.end_m for part in stretches if part.lane.name in town.signals and part.end_m > 0]
+        if nearest <= min(halts, default=0.0 if np.isinf(nearest) else -1.0) <= farthest and theme.fits(stretches):
             return route
     return None
 
 
 def _weigh_ego_lane(lane: TownLane) -> float:
     return 0.0 if lane.role is LaneRole.CAR_PARK else 1.0
-
-
-def draw_leader_pace(theme: SceneTheme, rng: np.random.Generator) -> Floats:
-    """(SECONDS,) factors on the leader's speed."""
-    second = np.arange(SECONDS)
-    if theme.leader == "slow":
-        return np.full(SECONDS, float(rng.uniform(0.5, 0.62)))
-    begin, period = float(rng.uniform(1.5, 4.5)), float(rng.uniform(12.0, 13.5))
-    return np.where(((second - begin) % period) < 7.0, 0.0, 0.65)
 
 
 def compute_route_points(town: Town, legs: list[RouteLeg], start_m: float, length_m: float) -> Floats:

