@@ -33,7 +33,7 @@ VERSION_FOLDER = "v1.0-mini"
 
 Split = Literal["val", "train"]
 _NOTE: Final = Path(STATE_FOLDER) / "town.json"
-_PICTURES: Final = ("asked", "keyframes", "all")
+_PICTURES: Final[tuple[Literal["asked", "keyframes", "all"], ...]] = ("asked", "keyframes", "all")
 _Work = tuple[Split, int, PlannerDrive | None]
 
 
@@ -182,7 +182,7 @@ def draw_town_scene(root: Path, name: str, *, sweeps: bool) -> None:
     Raises:
         InputError: If the root does not remember what it was made of, or the disk refuses.
     """
-    note = read_cached_json(root / _NOTE)
+    note: Any = read_cached_json(root / _NOTE)
     try:
         settings = replace(TownSettings(**note["settings"]), pictures="all" if sweeps else "keyframes")
         split, index = _find_scene(settings, name)

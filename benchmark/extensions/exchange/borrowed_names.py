@@ -156,9 +156,9 @@ class _RootExport:
 
     def write(self, folder: Path) -> None:
         """Write all of it to a folder."""
-        for scene in self._scenes:
+        for row in self._scenes:
             # Draws what is drawn when it is looked at.
-            self._data.videos(scene["name"], sweeps=False)
+            self._data.videos(row["name"], sweeps=False)
         self._write_tables(folder / VERSION_FOLDER)
         self._write_links(folder)
         # The devkit's reader refuses a root without this folder.
