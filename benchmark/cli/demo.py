@@ -169,7 +169,7 @@ def describe_sources() -> dict[str, Any]:
     from generation.search.adversary import ALGORITHM_VERSION
     from generation.search.definition import PackagedPrior
     from generation.search.presets import build_hyper_parameters
-    from generation.sources.mini import TownSettings
+    from generation.sources.embedded import find_town
     from generation.splits.packaged import read_newest_split
 
     newest, renderer = read_newest_split("mini"), api.schematic_renderer()
@@ -178,7 +178,7 @@ def describe_sources() -> dict[str, Any]:
         "configurations": {
             name: content_key(asdict(miniature.configuration()))[:12] for name, miniature in miniatures().items()
         },
-        "town": TownSettings().drawn_name("mini"),
+        "town": find_town("mini").drawn_name(),
         "frozen split": [newest.name, newest.frozen.content_id],
         "search": [ALGORITHM_VERSION, build_hyper_parameters().fingerprint, FULL_DEMO_VEHICLES],
         "renderer": [renderer.name, renderer.version],

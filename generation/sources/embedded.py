@@ -21,6 +21,7 @@ class EmbeddedTown:
         folder_name: Gives its folder in the user's cache.
         build: Writes it, or what is left of it: root, which frames get images now, number of processes; gives the root.
         takes: How long that is, in words.
+        drawn_name: A name for what happens in the scenes and how they look: all that a measured number depends on.
         fingerprints: Of the recordings, as the frozen splits of an earlier version name them.
     """
 
@@ -29,6 +30,7 @@ class EmbeddedTown:
     folder_name: Callable[[], str]
     build: Callable[[Path, Pictures, int], Path]
     takes: Mapping[Pictures, str]
+    drawn_name: Callable[[], str]
     fingerprints: tuple[str, ...] = ()
 
 
@@ -72,6 +74,12 @@ def _format_folder() -> str:
     return TownSettings().folder_name(EMBEDDED)
 
 
+def _format_drawn() -> str:
+    from generation.sources.mini import TownSettings
+
+    return TownSettings().drawn_name(EMBEDDED)
+
+
 def _build(root: Path, pictures: Pictures, workers: int) -> Path:
     from generation.sources.mini import TownSettings, build_town_data_set
 
@@ -88,6 +96,12 @@ def _format_first_folder() -> str:
     return format_first_folder()
 
 
+def _format_first_drawn() -> str:
+    from generation.sources.first_town import format_first_drawn
+
+    return format_first_drawn()
+
+
 def _build_first(root: Path, pictures: Pictures, workers: int) -> Path:
     from generation.sources.first_town import build_first_town
 
@@ -101,6 +115,7 @@ TOWNS: Final[Mapping[int, EmbeddedTown]] = {
         _format_first_folder,
         _build_first,
         {"keyframes": "a minute", "all": "five minutes"},
+        _format_first_drawn,
         (
             "93513133c4f373c13bcea9e699e199a7a6c5fed130e1982855deac05fc1184fe",  # mini-adv-1, mini-adv-2
             "c98053b3a9f2a7b236baa5860989f0300af0dcebc8e018e7eb1af45bed03eb42",  # mini-adv-3
@@ -113,6 +128,7 @@ TOWNS: Final[Mapping[int, EmbeddedTown]] = {
         _format_folder,
         _build,
         dict.fromkeys(("keyframes", "all"), "half a minute; images are drawn when they are looked at"),
+        _format_drawn,
     ),
 }
 """By version: the first is packaged as tracks and maps, the second is what the town's code makes. `EMBEDDED_VERSION` is

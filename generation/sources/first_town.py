@@ -82,9 +82,17 @@ def read_first_scene(index: int) -> Scene:
 
 def format_first_folder() -> str:
     """Folder in the cache, called as when the town was made: what an earlier version built there is taken."""
+    return f"{EMBEDDED}-{content_key(*_list_drawn(), SHARED_TABLES_VERSION)[:12]}"
+
+
+def format_first_drawn() -> str:
+    """A name for all that a measured number depends on, as `generation.sources.mini.TownSettings.drawn_name`."""
+    return f"{EMBEDDED}-{content_key(*_list_drawn())[:12]}"
+
+
+def _list_drawn() -> tuple[object, ...]:
     settings = {"val_scenes": _SCENES, "train_scenes": 0, "seed": 0, "width": _WIDTH, "height": _HEIGHT}
-    of_all = (settings | {"frames": "all", "images": True}, "1", SchematicRenderer(_WIDTH, _HEIGHT).version)
-    return f"{EMBEDDED}-{content_key(*of_all, SHARED_TABLES_VERSION)[:12]}"
+    return settings | {"frames": "all", "images": True}, "1", SchematicRenderer(_WIDTH, _HEIGHT).version
 
 
 def build_first_town(root: Path, pictures: Literal["all", "keyframes"], *, workers: int) -> Path:
