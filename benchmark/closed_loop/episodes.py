@@ -11,7 +11,7 @@ from typing import Final, Literal, cast
 from benchmark.closed_loop.adversary import AdversaryTrack
 from benchmark.closed_loop.observation_builder import NoCameras, ObservationBuilder, SceneCameras, Sensor
 from benchmark.closed_loop.planner_calls import Failure, FailureReason, notify_planner, request_plan
-from benchmark.closed_loop.route import Route, RouteFollower, build_driven_scene
+from benchmark.closed_loop.route import Route, RouteFollower, build_driven_scene, build_ride
 from benchmark.closed_loop.simulation_state import (
     CollisionEvent,
     EpisodeMotion,
@@ -35,7 +35,6 @@ from benchmark.planning import (
 )
 from benchmark.records.drive_schema import NeuroncapScore
 from benchmark.records.encounter_window import EncounterWindow
-from benchmark.runs.plan_rows import build_ride
 from benchmark.scene import Camera, Scene
 
 USUAL_HZ: Final = 2

@@ -9,7 +9,7 @@ from benchmark.closed_loop.simulation_state import TICK_US, YAW, EpisodeMotion, 
 from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
 from benchmark.datasets.sample_truth import compute_command
 from benchmark.geometry import Floats, quaternion_from_yaw, to_local
-from benchmark.planning import Command
+from benchmark.planning import Command, Ride
 from benchmark.scene import Annotations, EgoTrack, Scene
 
 EXTENSION_M: Final = 100.0
@@ -237,3 +237,13 @@ def hold_last_frame(scene: Scene, ticks: int) -> Scene:
         ),
         annotations=Annotations(**{name: getattr(known, name)[:, keys] for name in Annotations.__dataclass_fields__}),
     )
+
+
+def build_ride(scene: Scene, path: Floats, last: int, recorded_us: int | None = None, step_us: int = 500_000) -> Ride:
+    """The motion up to a frame of a scene, and the (P, 3) path of the recording.
+
+    The scene is as it was recorded, or driven since ``recorded_us``.
+    """
+    past, times_us = slice(last + 1), scene.timestamps_us
+    until = int(times_us[last]) if recorded_us is None else recorded_us
+    return Ride(times_us[past], scene.ego.position[past], scene.ego.rotation[past], path, until, step_us)

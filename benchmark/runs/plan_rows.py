@@ -16,6 +16,7 @@ from typing import Any, Final, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.closed_loop.route import build_ride
 from benchmark.constants import PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
@@ -36,7 +37,6 @@ from benchmark.planning import (
     PlannerLostError,
     PrivilegedPlanner,
     RemotePlanner,
-    Ride,
     SceneInfo,
     SessionPlanner,
     SupervisedPlanner,
@@ -87,16 +87,6 @@ def end_session_after(planner: Planner) -> Iterator[None]:
     finally:
         if isinstance(planner, SessionPlanner):
             planner.end_session()
-
-
-def build_ride(scene: Scene, path: Floats, last: int, recorded_us: int | None = None, step_us: int = 500_000) -> Ride:
-    """The motion up to a frame of a scene, and the (P, 3) path of the recording.
-
-    The scene is as it was recorded, or driven since ``recorded_us``.
-    """
-    past, times_us = slice(last + 1), scene.timestamps_us
-    until = int(times_us[last]) if recorded_us is None else recorded_us
-    return Ride(times_us[past], scene.ego.position[past], scene.ego.rotation[past], path, until, step_us)
 
 
 class PlannerFactory(Protocol):
