@@ -51,7 +51,7 @@ class DriveOptions:
     RARE: ClassVar = (
         *("tables", "categories", "adversary_every", "adversary_others", "adversary_rounds", "adversary_candidates"),
         *("adversary_tracks", "keep_considered", "image_format", "frame", "accept_torch_tensors", "scenarios"),
-        *("target", "timeout", "memory_limit", "precision", "address", "cameras", "driving_side"),
+        *("target", "timeout", "memory_limit", "precision", "address", "cameras", "driving_side", "plan_hz"),
     )
 
     model: shared.Models = ()

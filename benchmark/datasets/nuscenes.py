@@ -1,6 +1,5 @@
 """Data sets in nuScenes format, through the devkit, one scene at a time."""
 
-import copy
 import functools
 from collections import Counter, OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
@@ -101,8 +100,9 @@ class NuScenesData:
 
     def with_driving_side(self, side: Handedness | None) -> Self:
         """The same root where traffic keeps to a side, as somebody says; ``None``: it has to be found."""
-        sided = copy.copy(self)
-        sided.driving_side, sided._scenes = side, OrderedDict()
+        # Not `copy`, which goes by `__reduce__`.
+        sided = object.__new__(type(self))
+        sided.__dict__ |= self.__dict__ | {"driving_side": side, "_scenes": OrderedDict()}
         return sided
 
     def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:

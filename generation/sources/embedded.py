@@ -2,11 +2,15 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from benchmark.errors import InputError
 from benchmark.machine.workspace import EMBEDDED, EMBEDDED_VERSION, read_embedded_version, strip_version
+
+if TYPE_CHECKING:
+    from generation.sources.mini import TownSettings
 
 Pictures = Literal["all", "keyframes"]
 
@@ -61,75 +65,52 @@ def format_town(version: int) -> str:
     return EMBEDDED if version == EMBEDDED_VERSION else TOWNS[version].name
 
 
-def _list_scenes() -> tuple[str, ...]:
+def _settle(version: int) -> "TownSettings":
     from generation.sources.mini import TownSettings
+    from generation.sources.town import DEFAULT_VAL_SCENES
+
+    if version == 1:
+        return TownSettings(version=1)
+    return TownSettings(val_scenes=DEFAULT_VAL_SCENES, pictures="asked", version=version)
+
+
+def _list_scenes(version: int) -> tuple[str, ...]:
     from generation.sources.town.scenes import list_town_scene_names
 
-    return list_town_scene_names("val", TownSettings().val_scenes)
+    return list_town_scene_names("val", _settle(version).val_scenes)
 
 
-def _format_folder() -> str:
-    from generation.sources.mini import TownSettings
+def _build(version: int, root: Path, pictures: Pictures, workers: int) -> Path:
+    from generation.sources.mini import build_town_data_set
 
-    return TownSettings().folder_name(EMBEDDED)
-
-
-def _format_drawn() -> str:
-    from generation.sources.mini import TownSettings
-
-    return TownSettings().drawn_name(EMBEDDED)
+    settings = _settle(version)
+    settings = settings if settings.pictures == "asked" else replace(settings, pictures=pictures)
+    return build_town_data_set(root, settings, workers=workers)
 
 
-def _build(root: Path, pictures: Pictures, workers: int) -> Path:
-    from generation.sources.mini import TownSettings, build_town_data_set
-
-    return build_town_data_set(root, TownSettings(pictures="asked"), workers=workers)
-
-
-def _list_first_scenes() -> tuple[str, ...]:
-    return tuple(f"scene-{8000 + index}" for index in range(10))
-
-
-def _format_first_folder() -> str:
-    from generation.sources.first_town import format_first_folder
-
-    return format_first_folder()
-
-
-def _format_first_drawn() -> str:
-    from generation.sources.first_town import format_first_drawn
-
-    return format_first_drawn()
-
-
-def _build_first(root: Path, pictures: Pictures, workers: int) -> Path:
-    from generation.sources.first_town import build_first_town
-
-    return build_first_town(root, pictures, workers=workers)
+def _make_town(version: int, takes: Mapping[Pictures, str], fingerprints: tuple[str, ...] = ()) -> EmbeddedTown:
+    return EmbeddedTown(
+        f"{EMBEDDED}@{version}",
+        partial(_list_scenes, version),
+        lambda: _settle(version).folder_name(EMBEDDED),
+        partial(_build, version),
+        takes,
+        lambda: _settle(version).drawn_name(EMBEDDED),
+        fingerprints,
+    )
 
 
 TOWNS: Final[Mapping[int, EmbeddedTown]] = {
-    1: EmbeddedTown(
-        f"{EMBEDDED}@1",
-        _list_first_scenes,
-        _format_first_folder,
-        _build_first,
+    1: _make_town(
+        1,
         {"keyframes": "a minute", "all": "five minutes"},
-        _format_first_drawn,
         (
             "93513133c4f373c13bcea9e699e199a7a6c5fed130e1982855deac05fc1184fe",  # mini-adv-1, mini-adv-2
             "c98053b3a9f2a7b236baa5860989f0300af0dcebc8e018e7eb1af45bed03eb42",  # mini-adv-3
             "97c86f1388dea5a7ba19ed66512835cfdde040174ede8336d4e01b184df49c7b",  # as written now
         ),
     ),
-    2: EmbeddedTown(
-        f"{EMBEDDED}@2",
-        _list_scenes,
-        _format_folder,
-        _build,
-        dict.fromkeys(("keyframes", "all"), "half a minute; images are drawn when they are looked at"),
-        _format_drawn,
-    ),
+    2: _make_town(2, dict.fromkeys(("keyframes", "all"), "half a minute; images are drawn when they are looked at")),
 }
 """By version: the first is packaged as tracks and maps, the second is what the town's code makes. `EMBEDDED_VERSION` is
 ``mini``."""

@@ -18,8 +18,8 @@ from generation.nuscenes_writer import DataSetPlan, finish_data_set
 from generation.nuscenes_writer.plan import SHARED_TABLES_VERSION, STATE_FOLDER
 from generation.nuscenes_writer.scenes import WrittenScene, write_scene_if_missing
 from generation.render.schematic import SchematicRenderer
+from generation.sources.first_town import FIRST_SCENES, read_first_scene
 from generation.sources.town import (
-    DEFAULT_VAL_SCENES,
     MOST_TRAIN_SCENES,
     TOWN_VERSION,
     build_town_scene,
@@ -55,9 +55,11 @@ class TownSettings:
         pictures: Which of these frames are drawn now; the same settings with ``all`` draw what is left, and no table
             changes by it. ``asked``: each scene when it is looked at (`draw_town_scene`).
         crossing: Most pedestrians more who cross the way of the ego of a training scene when it comes.
+        version: Of the town: 1 is ten packaged evaluation scenes of seed 0, 2 all that the town's code makes. ``None``:
+            1 where it has what is asked for.
     """
 
-    val_scenes: int = DEFAULT_VAL_SCENES
+    val_scenes: int = FIRST_SCENES
     train_scenes: int = 0
     seed: int = 0
     width: int = 448
@@ -68,11 +70,23 @@ class TownSettings:
     driven: Path | None = None
     pictures: Literal["all", "keyframes", "asked"] = "all"
     crossing: int = 0
+    version: int | None = None
+
+    @property
+    def is_first(self) -> bool:
+        """Whether it is of the town's first version."""
+        has_all = self.val_scenes <= FIRST_SCENES and (self.seed, self.train_scenes, self.driven) == (0, 0, None)
+        if self.version == 1 and not has_all:
+            raise InputError(
+                f"version 1 of the town has {FIRST_SCENES} evaluation scenes of seed 0 and no training scenes; take "
+                "version 2"
+            )
+        return has_all and self.version in (None, 1)
 
     @property
     def _is_redrawn(self) -> bool:
         """Whether images can be drawn at any time from the settings alone."""
-        return self.images and self.driven is None
+        return self.images and self.driven is None and not self.is_first
 
     def plan(self, root: Path) -> DataSetPlan:
         """What is written of it at a root."""
@@ -89,6 +103,8 @@ class TownSettings:
     def note(self, root: Path) -> dict[str, Any]:
         """What a root that was made of it remembers."""
         made_of: dict[str, Any] = {"key": self.folder_name(root.name)}
+        if self.is_first and self.pictures != "all":
+            made_of["pictures"] = self.pictures
         if self._is_redrawn:
             made_of["settings"] = {name: value for name, value in asdict(self).items() if name != "driven"}
         return made_of
@@ -104,7 +120,7 @@ class TownSettings:
     def _drawn(self) -> tuple[object, ...]:
         settings = asdict(self)
         # Nothing is measured on images not yet drawn, and the folder name does not change when they are.
-        del settings["pictures"]
+        del settings["pictures"], settings["version"]
         if not self.off_path:
             # A town of an earlier version is still the same town.
             del settings["off_path"]
@@ -114,7 +130,7 @@ class TownSettings:
             del settings["driven"]
         else:
             settings["driven"] = _read_drive_record(self.driven).content_id
-        return settings, TOWN_VERSION, SchematicRenderer(self.width, self.height).version
+        return settings, "1" if self.is_first else TOWN_VERSION, SchematicRenderer(self.width, self.height).version
 
 
 def build_town_data_set(root: Path, settings: TownSettings, *, workers: int) -> Path:
@@ -153,7 +169,7 @@ def build_town_data_set(root: Path, settings: TownSettings, *, workers: int) -> 
     plan = settings.plan(root)
     work: list[_Work] = [("val", index, None) for index in range(settings.val_scenes)]
     work += [("train", index, drives.get(index)) for index in numbers]
-    job = partial(_write_one, plan, settings.seed, settings.off_path, settings.crossing)
+    job = partial(_write_one, plan, settings)
     with lock_folder(root, wait=True):
         if _is_made(root, settings):
             return root
@@ -191,7 +207,7 @@ def draw_town_scene(root: Path, name: str, *, sweeps: bool) -> None:
             f"{root} no longer says what it was made of ({_NOTE}), so its images cannot be drawn; build it again"
         ) from None
     with lock_folder(root / STATE_FOLDER / "drawing" / name, wait=True):
-        _write_one(settings.plan(root), settings.seed, settings.off_path, settings.crossing, (split, index, None))
+        _write_one(settings.plan(root), settings, (split, index, None))
 
 
 def _find_scene(settings: TownSettings, name: str) -> tuple[Split, int]:
@@ -238,10 +254,13 @@ def _read_drives(settings: TownSettings) -> dict[int, PlannerDrive]:
     return {known[name]: PlannerDrive.of_row(record.planner, row) for name, row in drives.items()}
 
 
-def _write_one(plan: DataSetPlan, seed: int, off_path: bool, crossing: int, work: _Work) -> WrittenScene:
+def _write_one(plan: DataSetPlan, settings: TownSettings, work: _Work) -> WrittenScene:
     split, index, driven = work
     report: dict[str, Any] = {}
-    crossing = crossing if split == "train" else 0
+    seed, off_path, crossing = settings.seed, settings.off_path, settings.crossing if split == "train" else 0
+    if settings.is_first:
+        scene = read_first_scene(index)
+        return write_scene_if_missing(plan, scene, name=scene.name, source_scene=scene.name, report=report)
     if driven is not None:
         scene, learned = build_town_scene_driven(index, driven, seed=seed, crossing=crossing)
         report[DRIVEN] = learned.as_json()

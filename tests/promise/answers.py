@@ -22,6 +22,8 @@ RENAMED: Final[dict[str, str]] = {}
 The old name is a line of a snapshot, of an option without its kind and of a name without kind, place and default.
 """
 _NAME: Final = re.compile(r"(\w+)(?:\.(\w+))?(?:\((\*{0,2}\w+): (by name|\d+)(.*)\)| (\w+))?")
+_IMPORT: Final = "challenger-bench data import"
+"""Its form was an argument and is a command now: typed first, as the manual always had it."""
 _VALUES: Final = {"int": "4", "float": "1.0", "str": "x", "Path": "x"}
 _ENDS_AT_ONCE: Final = ("--install-completion", "--show-completion")
 """Options that do their work while they are parsed; it is enough that they are there."""
@@ -110,11 +112,14 @@ class Options:
         """Whether a command, an option or a choice is taken by the parser; else the refusal of the command line."""
         command, name, *rest = line.split(" | ")
         words = command.split()[1:]
+        if command == _IMPORT and (name.startswith("-") or name == "source"):
+            words.append("scenarionet")
         if name == "command":
             return refusal(*words, "--help")
         if name in _ENDS_AT_ONCE:
             return None if any(name in each.opts for each in _top().params) else f"there is no {name}"
-        needed = [word for each, value in self.needed.get(command, ()) if each != name for word in _said(each, value)]
+        asked = [(each, value) for each, value in self.needed.get(command, ()) if (command, each) != (_IMPORT, "form")]
+        needed = [word for each, value in asked if each != name for word in _said(each, value)]
         if rest[0].startswith("bool, "):
             tries = [[each] for each in name.split("/")]
         else:

@@ -1,7 +1,7 @@
 """Options of policies at ``grpc://``, and of ``serve --protocol alpasim``."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from benchmark.cli.settings import Option
 
@@ -9,6 +9,8 @@ from benchmark.cli.settings import Option
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EgodriverOptions:
     """Options of ``drive`` and ``eval`` with a policy at ``grpc://``."""
+
+    RARE: ClassVar = ("remote_cameras",)
 
     remote_cameras: Annotated[
         str, Option("The policy's names of our cameras: CAM_FRONT=camera_front_wide_120fov,...", "Planner")

@@ -148,7 +148,7 @@ _CORE: tuple[tuple[str, str], ...] = (
     ("data show mini --to {new}/pictures --scenes scene-1", "scene-1"),
     ("data show mini --to {file}", "is a file"),
     ("data check {new}", "there is no folder"),
-    ("data import waymo {empty} --out {new}/root", "scenarionet"),
+    ("data import waymo {empty} --out {new}/root", "No such command 'waymo'"),
     ("data import scenarionet {new} --out {new}/root", "there is no folder"),
     ("data import scenarionet {empty} --out {file}", "is a file"),
     ("data build --size big", "--size"),

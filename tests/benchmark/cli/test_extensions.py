@@ -165,7 +165,7 @@ def test_options_that_clash_with_those_of_the_command_are_left_out(
     install: Callable[..., None], capsys: pytest.CaptureFixture[str]
 ) -> None:
     install(Entry("theirs", {"options": {"planner odd": f"{__name__}:Taken", "planner even": f"{__name__}:fail"}}))
-    assert [field.of for field in list_fields(EvalOptions) if field.of] == []
+    assert {field.of for field in list_fields(EvalOptions) if field.of} <= {"planner grpc"}
     clash, other = told(capsys)
     assert clash == "warning: the options of planner odd, of the extension theirs, are left out: --seed is taken"
     assert other.startswith("warning: the options of planner even, of the extension theirs, are left out: ")

@@ -197,7 +197,7 @@ def test_a_record_of_drives_can_be_fed_back(desk: Path, monkeypatch: pytest.Monk
     again(desk, monkeypatch, "drive", "--config", record, "--out", "second")
     (second,) = Path("second/drives").rglob("drive.json")
     assert facts(second) == facts(record)
-    assert facts(record)["measured"]["until"] == "fault" and facts(record)["config"]["timeout_s"] == 33.0
+    assert facts(record)["measured"]["until"] == "fault@1" and facts(record)["config"]["timeout_s"] == 33.0
     assert "not a record that eval" in refusal("eval", "--config", record)
 
 

@@ -89,11 +89,11 @@ def valid_bytes(kind: str, folder: Path) -> bytes:
     return path.read_bytes()
 
 
-def read_here(path: Path, kind: str, limits: Limits, source: int, target: int) -> int:
+def read_here(path: Path, kind: str, limits: Limits, request: tuple[str, ...], source: int, target: int) -> int:
     """What the child process does, in this one: a recording with odd values does not harm who reads it."""
     with os.fdopen(os.dup(source), "rb") as stream, os.fdopen(os.dup(target), "wb") as out:
         try:
-            write_answer(out, read_request(kind, limits, stream), limits)
+            write_answer(out, read_request(kind, limits, stream, *request), limits)
         except UnencodableValueError as why:
             out.seek(0)
             out.truncate()

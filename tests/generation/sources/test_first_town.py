@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -11,13 +12,13 @@ from benchmark import api
 from benchmark.datasets.roots import open_data
 from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
-from benchmark.machine.storage import lock_folder
 from benchmark.machine.workspace import is_finished, strip_version
 from benchmark.protocols import STANDARD
 from benchmark.runs.rescoring import rescore_all
-from generation.sources import first_town
-from generation.sources.embedded import EARLIER, find_town
-from generation.sources.first_town import build_first_town, format_first_folder, read_first_scene
+from generation.sources import embedded
+from generation.sources.embedded import TOWNS, find_town
+from generation.sources.first_town import read_first_scene
+from generation.sources.mini import TownSettings, build_town_data_set
 from generation.splits.building import build_frozen
 from generation.splits.packaged import read_frozen_split, read_newest_split, require_town
 from tests.benchmark.cli.cli_runs import bytes_below, run_main
@@ -53,20 +54,29 @@ def test_tables_maps_and_can_bus_are_what_they_were(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_whole_town_has_the_fingerprint_that_it_had(tmp_path: Path) -> None:
-    root = build_first_town(tmp_path, "keyframes", workers=2)
-    assert open_data(root).fingerprint() == EARLIER[1].fingerprints[-1]
+    root = build_town_data_set(tmp_path, TownSettings(pictures="keyframes", version=1), workers=2)
+    assert open_data(root).fingerprint() == TOWNS[1].fingerprints[-1]
 
 
 def test_what_an_earlier_version_built_into_the_cache_is_taken() -> None:
-    assert format_first_folder() == "mini-96cc3dc88486"
+    town = find_town("mini")
+    assert (town.folder_name(), town.drawn_name()) == ("mini-96cc3dc88486", "mini-c61c79b5424c")
+    assert find_town("mini@2").folder_name() != town.folder_name()
+
+
+@pytest.mark.parametrize("other", [{"val_scenes": 11}, {"seed": 1}, {"train_scenes": 2}])
+def test_what_the_first_town_does_not_have_is_of_the_second(other: dict[str, Any], tmp_path: Path) -> None:
+    assert not TownSettings(**other).is_first and TownSettings().is_first
+    with pytest.raises(InputError, match="version 1 of the town has 10 evaluation scenes"):
+        build_town_data_set(tmp_path / "town", TownSettings(**other, version=1), workers=1)
+    assert not list(tmp_path.iterdir())
 
 
 def test_it_is_built_once_by_one_command_and_goes_on_after_a_stop(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(first_town, "_SCENES", 1)
-    monkeypatch.setattr(first_town, "_WIDTH", 32)
-    monkeypatch.setattr(first_town, "_HEIGHT", 18)
+    small = TownSettings(val_scenes=1, width=32, height=18, version=1)
+    monkeypatch.setattr(embedded, "_settle", lambda version: small)
     monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(tmp_path))
     data = api.open_data(FIRST_TOWN, workers=1)
     assert data.name == FIRST_TOWN and data.root.parent == tmp_path
@@ -75,13 +85,13 @@ def test_it_is_built_once_by_one_command_and_goes_on_after_a_stop(
     assert bytes_below(api.open_data(FIRST_TOWN, workers=1).root) == before
     next(data.root.glob("*/challenger.json")).unlink()
     next(data.root.glob("samples/CAM*/*.jpg")).unlink()
-    with lock_folder(data.root), pytest.raises(InputError, match="another command is writing"):
-        api.open_data(FIRST_TOWN, workers=1)
     assert not is_finished(data.root)
     assert bytes_below(api.open_data(FIRST_TOWN, workers=1).root) == before
 
 
-@pytest.mark.parametrize(("data", "said"), [("mini@7", "choose mini or mini@1"), ("mini@0", "there is no folder")])
+@pytest.mark.parametrize(
+    ("data", "said"), [("mini@7", "choose mini, mini@1, mini@2"), ("mini@0", "there is no folder")]
+)
 def test_a_version_that_is_not_there_is_refused(data: str, said: str) -> None:
     for command in (("data", "info"), ("eval", "--model", "idm", "--data")):
         run = run_main(*command, data)

@@ -14,7 +14,7 @@ from benchmark.scene import Scene
 from generation.sources.mini import TownSettings, build_town_data_set
 from generation.sources.town import build_town_scene
 
-ONE = TownSettings(val_scenes=1, width=64, height=40, frames="keyframes")
+ONE = TownSettings(val_scenes=1, width=64, height=40, frames="keyframes", version=2)
 FRAMES = 25
 """So long are the scenes of these towns, so that few images are drawn."""
 

@@ -45,6 +45,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[ImportedLog, Path]:
     return imported(MadeLog(), tmp_path_factory.mktemp("plain"))
 
 
+@pytest.mark.path
 def test_a_root_is_sound_and_is_opened_under_the_name_of_the_log(plain: tuple[ImportedLog, Path]) -> None:
     log, root = plain
     assert not check_tables(root)

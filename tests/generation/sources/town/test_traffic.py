@@ -46,7 +46,7 @@ NOISY_LOG_AVERAGE: Final = 0.001
 
 
 def measure(root: Path, scenes: int, draws: dict[str, int]) -> TrafficStatistics:
-    data = open_data(build_town_data_set(root, TownSettings(val_scenes=scenes, images=False), workers=1))
+    data = open_data(build_town_data_set(root, TownSettings(val_scenes=scenes, images=False, version=2), workers=1))
     return measure_scenes(data, data.scene_names("val"), draws, build_baseline)
 
 
