@@ -104,6 +104,7 @@ class Options:
     def __init__(self, lines: Iterable[str]) -> None:
         rows = [line.split(" | ") for line in lines]
         self.choices = {(row[0], row[1]): row[2] for row in rows if len(row) == 3 and ", " not in row[2]}
+        self.choices[_IMPORT, "form"] = "scenarionet"
         self.needed: dict[str, list[tuple[str, str]]] = {}
         for command, name, kind in (row for row in rows if len(row) == 3 and ", required" in row[2]):
             self.needed.setdefault(command, []).append((name, self._compare_value(command, name, kind)))
