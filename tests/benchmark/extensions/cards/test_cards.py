@@ -18,7 +18,7 @@ from benchmark.extensions.cards.data_card import SCENE_COLUMNS, scene_rows, writ
 from benchmark.extensions.cards.records_card import RATE_COLUMNS, rate_rows, write_records_card
 from benchmark.extensions.cards.writing import CITE, CardSettings, find_size_category, format_front_matter
 from benchmark.published import PAPER
-from benchmark.records.drives import DriveRecord, load_drives
+from benchmark.records.drives import DriveRecord, compute_columns, load_drives
 from benchmark.records.run import RunRecord, load_record
 from benchmark.records.run_schema import SceneFacts
 from tests.benchmark.cli.in_process import run_here
@@ -100,7 +100,7 @@ def test_labels_of_a_strangers_file_that_are_no_labels_are_no_values() -> None:
 def test_a_row_is_a_rate_of_a_record_and_none_is_left_out() -> None:
     rows = list(rate_rows(records(), drives()))
     assert all(set(row) == {column.name for column in RATE_COLUMNS} for row in rows)
-    expected = sum(len(drive.summary.columns) for drive in drives())
+    expected = sum(len(compute_columns(drive)) for drive in drives())
     for summary in (record.summary for record in records()):
         columns = [found.columns for found in summary.protocols.values()]
         columns += [] if summary.driving is None else [summary.driving.columns]

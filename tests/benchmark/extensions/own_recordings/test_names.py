@@ -121,7 +121,9 @@ def test_a_rig_with_two_views_is_named_refused_and_marked(tmp_path: Path) -> Non
     refused = run_main("eval", "--model", "uniad-mini", *where)
     driven = run_main("drive", "--model", "uniad-mini", "--no-baselines", "--sensor", "schematic", *where)
     for said in (refused, driven):
-        assert said.code == 2 and f"has no camera for {missing}" in said.err and said.err.count("\n") == 1
+        # A slow machine shows how far a drive is.
+        (sentence,) = (line for line in said.err.splitlines() if line.startswith("error: "))
+        assert said.code == 2 and missing in sentence and "--cameras" in sentence
     assert not [*tmp_path.glob("runs/**/run.json"), *tmp_path.glob("drives/**/drive.json")]
     data = benchmark.open_data(root, cameras=rig)
     planner = Forward()

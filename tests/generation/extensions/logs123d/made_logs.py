@@ -40,6 +40,7 @@ class MadeLog:
     storage: str = "binary"
     label_class: str = "py123d.parser.registry.DefaultBoxDetectionLabel"
     own_map: bool = True
+    boxes: bool = True
 
     def write(self, data: Path) -> Path:
         """Write it below a DATA folder; the folder of the log."""
@@ -48,7 +49,7 @@ class MadeLog:
         metadata = {name: getattr(self, name) for name in ("dataset", "split", "location", "version")}
         metadata |= {"log_name": self.name, "map_metadata": None}
         columns: dict[str, Any] = {"sync.timestamp_us": self.times}
-        for key in ("ego_state_se3", "box_detections_se3"):
+        for key in ("ego_state_se3", *(["box_detections_se3"] if self.boxes else [])):
             columns[key] = list(range(self.frames))
         for key in self.cameras:
             rows = iter(range(self.frames))
@@ -57,7 +58,8 @@ class MadeLog:
             self._write_camera(folder, key)
         write_arrow(folder / "sync.arrow", columns, metadata)
         self._write_ego(folder)
-        self._write_boxes(folder)
+        if self.boxes:
+            self._write_boxes(folder)
         if self.own_map:
             write_arrow(folder / "map.arrow", road(), {"dataset": self.dataset, "map_is_per_log": True})
         return folder

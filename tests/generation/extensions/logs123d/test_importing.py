@@ -139,8 +139,7 @@ def test_what_a_log_lacks_is_named(plain: tuple[ImportedLog, Path]) -> None:
 
 
 def test_a_log_without_map_boxes_or_cameras_is_a_root_without_them(tmp_path: Path) -> None:
-    made = MadeLog(own_map=False, cameras={}, frames=11)
-    (made.write(tmp_path) / "box_detections_se3.arrow").unlink()
+    MadeLog(own_map=False, boxes=False, cameras={}, frames=11).write(tmp_path)
     (log,) = import_123d(tmp_path / "logs", tmp_path / "root")
     assert {"cameras", "boxes", "map"} <= {*log.facts["lacks"]}
     data, annotations = open_data(tmp_path / "root"), rows(tmp_path / "root", "sample_annotation")

@@ -94,7 +94,8 @@ def test_a_submission_whose_summary_counted_bystanders_is_fit_and_a_wrong_count_
         return replace(records[0], summary=records[0].summary.model_copy(update={"columns": columns}))
 
     found = dict(records[0].summary.columns)
-    without = {name: rate for name, rate in found.items() if name != "bystander"}
+    new = ("bystander", "shared_fault", "unclear_fault", "at_fault_nuplan")
+    without = {name: rate for name, rate in found.items() if name not in new}
     old = with_columns(**{**without, "attributable": found["at_fault"]})
     flattering = with_columns(**{**found, "attributable": replace(found["at_fault"], value=0.125)})
     assert list(recompute_drives(old, town())) == []

@@ -99,7 +99,7 @@ def test_a_failure_is_said_at_the_end_and_without_pictures_all_is_seen_from_abov
 
 def test_whoever_touched_the_ego_without_its_fault_is_named_and_gone(tmp_path: Path) -> None:
     scene = scene_on_straight_road((Car(20.0, 198.25, 12.0),), ego_speed=8.0, seconds=12.0)
-    data, maker = FakeData({scene.name: scene}), DefaultBackend(until="fault")
+    data, maker = FakeData({scene.name: scene}), DefaultBackend(until="fault@1")
     how = DriveSettings("default", maker)
     record = drive_split(data, "val", Watching(speed=6.0), tmp_path / "out", how)
     shown = write_episode_page(tmp_path, data, record, record.rows[0], maker, None)
@@ -113,7 +113,7 @@ def test_whoever_touched_the_ego_without_its_fault_is_named_and_gone(tmp_path: P
     (agent,) = shown.stored.sheet.agents
     assert seconds[agent.first + len([x for x in agent.x_m if x is not None]) - 1] < touch.seconds + 0.5
     path = write_drive_film(shown, record, "watching", tmp_path, FilmFormat.PNG, FilmSettings(fps=DRIVE_FPS, end_s=0.2))
-    assert path.name == "scene-9901-watching-default-replay-none-until-fault"
+    assert path.name == "scene-9901-watching-default-replay-none-until-fault-1"
 
 
 @pytest.mark.path
