@@ -92,7 +92,7 @@ class DoorCampaign(Attempts):
     def __init__(self, folder: Path, seed: int) -> None:
         super().__init__(folder, seed, DOORS)
         # So long does a command wait for a server that went away; in a campaign nobody restarts any.
-        benchmark.extensions.http.model.RETURN_S = 1.0  # type: ignore[misc]
+        benchmark.extensions.http.model.RETURN_S = 1.0  # type: ignore[attr-defined]
         # And so long for its first answer, which is more than the time that a variant has.
         benchmark.extensions.http.model.ALIVE_S = 5.0  # type: ignore[attr-defined]
         tries = [*option_tries(), *planner_tries(), *server_tries()]

@@ -1,5 +1,6 @@
 """Drives that end at the ego's fault alone: whoever touches it otherwise goes, and everything else is as it was."""
 
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from benchmark.closed_loop.episodes import Episode, run_episode, run_episodes
 from benchmark.closed_loop.scoring import EpisodeScores, score_episode
 from benchmark.errors import InputError
 from benchmark.planning import Planner
-from benchmark.records.drive_schema import ClosedLoopDefinition, EpisodeRow
+from benchmark.records.drive_schema import ClosedLoopDefinition, EpisodeRow, ScoredContact
 from benchmark.records.drives import compute_column_values, load_drives
 from benchmark.records.fault import blames_ego
 from benchmark.runs.drive_rows import build_episode_row
@@ -88,7 +89,10 @@ def test_of_two_at_once_the_fault_counts() -> None:
 def test_the_engine_blames_as_the_scores_do(x: float, y: float, speed: float, left: float) -> None:
     scene = road(Car(x, y, speed))
     ended, before = driven(scene, Watching(speed=7.0, left=left), DefaultBackend())
-    rules = {FAULT: lambda each: blames_ego(each.fault), BY_NUPLAN: lambda each: each.at_fault}
+    rules: dict[DefaultBackend, Callable[[ScoredContact], bool | None]] = {
+        FAULT: lambda each: blames_ego(each.fault),
+        BY_NUPLAN: lambda each: each.at_fault,
+    }
     for maker, blames in rules.items():
         found, scores = driven(scene, Watching(speed=7.0, left=left), maker)
         assert not any(blames(each) for each in scores.passed)

@@ -3,11 +3,13 @@
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmark.geometry import Floats
 from benchmark.machine.storage import content_seed
 from benchmark.metrics.ranks import (
     assign_letters,
@@ -26,7 +28,7 @@ from tests.benchmark.metrics.made_attacks import attacked, told
 from tests.benchmark.records.test_drives import failed, row, written
 
 
-def slow_ranks(values: np.ndarray, recordings: list[str], lower: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def slow_ranks(values: Floats, recordings: list[str], lower: bool) -> tuple[Any, Any, Any]:
     """Ends of the intervals of ranks and of means, drawn recording by recording; (P, N) values of single scenes."""
     names = sorted(set(recordings))
     rng = np.random.default_rng(content_seed("scene bootstrap", names, 0))

@@ -112,7 +112,11 @@ def test_images_are_drawn_when_they_are_looked_at_and_nothing_else_depends_on_it
         build_town_data_set(tmp_path / name, asked, workers=1)
     root, first = tmp_path / "town", "scene-8000"
     identity = open_data(root).fingerprint()
-    drawn, whole_files = lambda: {path for path in files_of(root) if "/CAM_" in path}, files_of(tmp_path / "whole")
+    whole_files = files_of(tmp_path / "whole")
+
+    def drawn() -> set[str]:
+        return {path for path in files_of(root) if "/CAM_" in path}
+
     assert not drawn() and not list(check_tables(root))
     list(open_data(root).observations(first))
     assert not drawn()

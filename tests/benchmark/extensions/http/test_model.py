@@ -15,11 +15,11 @@ import pytest
 from adapters.registry import build_planner
 from benchmark.closed_loop.planner_calls import Failure, FailureReason, notify_planner, request_plan
 from benchmark.errors import InputError
-from benchmark.extensions.http.model import HttpPlanner, ModelFailedError, http_planner
+from benchmark.extensions.http.model import HttpPlanner, http_planner
 from benchmark.extensions.http.session import build_request
 from benchmark.extensions.http.values import HttpImageFormat
 from benchmark.machine.address import Address, is_address
-from benchmark.planning import PlannerAwayError, PlannerGoneError, PlannerLateError, SceneInfo
+from benchmark.planning import ModelFailedError, PlannerAwayError, PlannerGoneError, PlannerLateError, SceneInfo
 from benchmark.runs.planner_facts import build_planner_facts
 from benchmark.untrusted.files import HTTP_ANSWER
 from tests.benchmark.extensions.http.made import GOOD, SHARED, Reply, free_port, observed, scripted

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -126,7 +127,8 @@ def test_a_fit_reads_back_and_damage_is_one_sentence(kind: str, tmp_path: Path) 
     first = path.read_bytes()
     write_fit(tmp_path, fit)
     assert path.read_bytes() == first
-    stored = json.loads(first)
+    stored: dict[str, Any] = json.loads(first)
+    wrong: Any
     for wrong in (
         {**stored, "schema": 2},
         {**stored, "values": stored["values"][1:]},

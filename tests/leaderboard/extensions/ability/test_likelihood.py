@@ -48,9 +48,8 @@ def test_the_built_in_cells_agree_and_a_changed_cell_is_found(tmp_path: Path) ->
 
 
 def item(rng: np.random.Generator) -> tuple[float, ScoreItem]:
-    return float(rng.normal()), ScoreItem(
-        *(rng.normal(scale=0.7, size=3) + [0.0, 1.5, -1.0]), float(rng.uniform(0.5, 3))
-    )
+    t, (beta, omega, g0) = float(rng.normal()), rng.normal(scale=0.7, size=3) + [0.0, 1.5, -1.0]
+    return t, ScoreItem(beta, omega, g0, float(rng.uniform(0.5, 3)))
 
 
 @pytest.mark.parametrize("x", [0.0, 1.0, 0.03, 0.6])
