@@ -201,7 +201,7 @@ class Scene:
         road_map: Map, possibly cropped to the scene's surroundings.
         adversaries: Instance identifiers of generated adversaries.
         sweep_poses: Poses of the single sensors; ``None`` where all sensors share the ego pose of the frame.
-        driving_side: Side that traffic keeps to, as somebody said; ``None``: it has to be found
+        driving_side: Side that traffic keeps to, as the user stated; ``None``: it has to be found
             (`benchmark.fairness.fault_roads`).
     """
 

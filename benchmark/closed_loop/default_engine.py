@@ -265,7 +265,7 @@ class DefaultSimulationState:
 
         try:
             waypoints = compute_rear_axle_waypoints(plan, ahead_m)
-            return self.with_world(step_replanning(self.course, self.world, waypoints, replan_waypoints))
+            return self.with_world(step_replanning(self.remember_past(), self.world, waypoints, replan_waypoints))
         except UndrivableWaypointsError as error:
             return RejectedPlanError(str(error))
 

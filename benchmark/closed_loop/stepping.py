@@ -95,17 +95,20 @@ def step_replanning(
         now = np.array([here.ego.row]).T
         targets = _find_active_plan(plans, here.time_us).compute_targets(here.time_us, now[:3, 0])
         egos = follow_waypoints(now, np.ascontiguousarray(targets[..., None]), 1)[..., 0]
-        later = _step_agents(course, here, plans, np.ascontiguousarray(egos), [number])
+        before = here.trace if number else None
+        later = _step_agents(_judge_after(course, before), here, plans, np.ascontiguousarray(egos), [number])
         assert later.trace is not None
-        trace = later.trace
-        if number and here.trace is not None:
-            trace = StepTrace(
-                np.concatenate([here.trace.egos, trace.egos[1:]]),
-                np.concatenate([here.trace.boxes, trace.boxes]),
-                np.concatenate([here.trace.present, trace.present]),
-            )
+        trace = later.trace if before is None else before.then(later.trace)
         here = replace(later, step=world.step, trace=trace)
     return replace(here, step=world.step + 1)
+
+
+def _judge_after(course: SimulationConfig, before: StepTrace | None) -> SimulationConfig:
+    """The course for the rest of a step of which ``before`` is driven: blame depends on all of it."""
+    blamed = course.blamed
+    if blamed is None or before is None:
+        return course
+    return replace(course, blamed=lambda contact, trace: blamed(contact, before.then(trace)))
 
 
 def require_drivable(course: SimulationConfig, plan: Any) -> Floats:

@@ -65,6 +65,14 @@ class StepTrace:
     boxes: Floats
     present: Bools
 
+    def then(self, later: "StepTrace") -> "StepTrace":
+        """This part of a step and the one after it."""
+        return StepTrace(
+            np.concatenate([self.egos, later.egos[1:]]),
+            np.concatenate([self.boxes, later.boxes]),
+            np.concatenate([self.present, later.present]),
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class WorldState:

@@ -99,7 +99,7 @@ class NuScenesData:
         return named.with_driving_side(self.driving_side)
 
     def with_driving_side(self, side: Handedness | None) -> Self:
-        """The same root where traffic keeps to a side, as somebody says; ``None``: it has to be found."""
+        """The same root where traffic keeps to a side, as the user states; ``None``: it has to be found."""
         # Not `copy`, which goes by `__reduce__`.
         sided = object.__new__(type(self))
         sided.__dict__ |= self.__dict__ | {"driving_side": side, "_scenes": OrderedDict()}

@@ -47,7 +47,7 @@ class DataSet(Protocol):
 
     @property
     def driving_side(self) -> Handedness | None:
-        """Side that traffic keeps to, as somebody said."""
+        """Side that traffic keeps to, as the user stated."""
 
     def with_driving_side(self, side: Handedness | None) -> "DataSet":
         """The same where traffic keeps to a side."""

@@ -62,7 +62,7 @@ class AttackRates:
     ``judged`` are scenes of which it is known whether the careful human survives them, ``spared`` those that it
     survives; ``unknown_fault`` are samples with a contact that does not say whose fault it is, as in older records:
     then there is no rate of fault. ``shared`` and ``unclear`` are of samples whose contact is both users' fault, or
-    nobody knows whose. Bystander rates are of samples whose first contact is with another than an adversary, and of
+    unclear whose. Bystander rates are of samples whose first contact is with another than an adversary, and of
     scenes with such a sample.
     """
 

@@ -91,7 +91,7 @@ class AdversaryEffect:
     """Effect of an adversarial split on a planner, over the samples that count.
 
     ``touched`` are weighted rates of first contacts with an adversary at 1, 2, 3 s and their mean, ``at_fault``,
-    ``shared_fault`` and ``unclear_fault`` of those at the planner's fault, at both users' and at nobody knows whose;
+    ``shared_fault`` and ``unclear_fault`` of those at the planner's fault, at both users' and at unclear fault;
     ``None`` where no sample counts, or it is not known which road users are adversaries, and of fault where contacts do
     not say it: those are ``unknown_fault``.
     """

@@ -86,7 +86,7 @@ NNS, COLLISION_RATE = "nns", "collision"
 ATTRIBUTABLE, BYSTANDER = "attributable", "bystander"
 """Contacts at fault where a careful human survives: with the adversary, and with anybody else."""
 AT_FAULT, SHARED, UNCLEAR, AT_FAULT_NUPLAN = "at_fault", "shared_fault", "unclear_fault", "at_fault_nuplan"
-"""Drives whose contacts are the ego's fault, both users' or nobody knows whose, by ``fault@1``; the ego's by nuPlan."""
+"""Drives whose contacts are the ego's fault, both users' or of unclear fault, by ``fault@1``; the ego's by nuPlan."""
 _OF_FAULT: Final = (AT_FAULT, SHARED, UNCLEAR, ATTRIBUTABLE, BYSTANDER)
 """Columns that nothing is known of where a contact does not say whose fault it is."""
 _Read = TypeVar("_Read", bound=Stored)

@@ -56,7 +56,7 @@ UNTIMED_REASONS: Final = frozenset(
         *(FaultReason.WALKWAY_PERSON, FaultReason.ROAD_PERSON, FaultReason.OFF_ROAD, FaultReason.REAR_END),
     }
 )
-"""Reasons of which nobody asks when they began."""
+"""Reasons without a time at which they began."""
 
 
 class StoredFault(Stored):

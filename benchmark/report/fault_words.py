@@ -34,7 +34,7 @@ _ACTS: Final[Mapping[FaultReason, str]] = {
     FaultReason.LANE_CHANGE: "changed lane",
     FaultReason.OVERTAKING: "overtook too near",
 }
-"""What somebody did; all else is said of nobody."""
+"""Acts of one road user; the other reasons name no road user."""
 _UNCLEAR: Final[Mapping[FaultReason, str]] = {
     FaultReason.STANDING: "neither moved",
     FaultReason.CROSSING: "the map does not say who had priority",

@@ -1,6 +1,8 @@
 """Golden sets: the one form in which a family of golden numbers is declared, and the one reader of their files."""
 
+import gzip
 import json
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -19,6 +21,7 @@ from benchmark.verification.checks import Check, Comparison
 
 _DAMAGED: Final = (LookupError, ValueError, TypeError, AttributeError, ArithmeticError, RuntimeError, MemoryError)
 """Exceptions that reading a damaged set, or one of another kind, can raise."""
+_MOST_UNPACKED: Final = 64 << 20
 
 
 class GoldenArrays:
@@ -151,6 +154,18 @@ class GoldenSet:
                 for compare in self.compare:
                     compare(comparison, GoldenFolder(folder))
         return comparison.checks()
+
+
+def unpack_gzip(path: Path) -> bytes:
+    """Content of a compressed file of a set, at most 64 MB; an `InputError` if it is damaged or larger."""
+    try:
+        with gzip.open(path) as file:
+            data = file.read(_MOST_UNPACKED + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        raise build_damage_error(path, to_one_line(error)) from error
+    if len(data) > _MOST_UNPACKED:
+        raise build_damage_error(path, f"it holds over {_MOST_UNPACKED >> 20} MB")
+    return data
 
 
 def build_damage_error(path: Path, what: str) -> InputError:

@@ -63,7 +63,7 @@ class DataSetPlan:
         pictures: Which of these frames get camera images now. ``keyframes`` leaves out files that the rows name, which
             the same plan with ``all`` adds later: tables, tokens and keys are the same with and without them. ``none``
             leaves out all.
-        drawn_by: Who draws images that are not there (`benchmark.datasets.drawn_later`), if somebody does.
+        drawn_by: Who draws images that are not there (`benchmark.datasets.drawn_later`), or ``None``.
         jpeg_quality: 1..100.
         lossless: Beside each JPEG file a PNG file of the same name, which no table names.
         frozen: Name and content hash of the frozen split that it is built from, if it is.

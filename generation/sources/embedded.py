@@ -52,7 +52,7 @@ def find_town(data: str) -> EmbeddedTown:
 def find_version(recordings: str, fingerprint: str, *, packaged: bool) -> int | None:
     """Version of the town that a frozen split was made from, if its recordings are of any that is known.
 
-    A ``packaged`` split whose fingerprint nobody wrote down is of the current one.
+    A ``packaged`` split without a known fingerprint is of the current one.
     """
     if strip_version(recordings) != EMBEDDED:
         return None

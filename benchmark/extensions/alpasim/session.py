@@ -2,7 +2,7 @@
 
 Answers to calls out of order are those of ``carla-driver-interface``: an unknown session is NOT_FOUND but for its end,
 one that was begun already ALREADY_EXISTS. A planner plans every half second; between two plans the standing one is told
-again from where the car is. ``renderer_data`` and the recorded future, where somebody sends it, are never looked at.
+again from where the car is. ``renderer_data`` and the recorded future, where a client sends it, are never looked at.
 """
 
 import sys
@@ -42,7 +42,7 @@ from benchmark.untrusted.http_images import decode_image
 API_VERSION: Final = {"major": 0, "minor": 54, "patch": 0}
 MOST_SESSIONS: Final = 16
 _IDLE_S: Final = 120.0
-"""A session that nobody asked for so long makes room for another."""
+"""A session without a call for so long makes room for another."""
 _MOST_CAMERAS: Final = 32
 _MOST_POSES: Final = 1024
 _LONGEST_UUID: Final = 200
@@ -144,9 +144,8 @@ class EgodriverService:
             if uuid in self._sessions:
                 raise CallRefusedError("ALREADY_EXISTS", f"session {uuid} was begun already")
             self._make_room()
-            planner = self._free.pop() if self._free else None
-            # Its place is taken before a planner is built for it, which takes long.
-            session = self._sessions[uuid] = _Session(planner or self._build(), request.random_seed, cameras)
+            planner = self._free.pop() if self._free else self._build()
+            session = self._sessions[uuid] = _Session(planner, request.random_seed, cameras)
         try:
             with self._planning:
                 seed_everything(content_seed(self._seed, session.seed), session.planner)

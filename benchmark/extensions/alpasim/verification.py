@@ -1,8 +1,6 @@
 """Recorded sessions of AlpaSim's runtime and of ``carla-driver-interface``, against our messages, client and server."""
 
-import gzip
 import json
-import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,11 +26,10 @@ from benchmark.extensions.alpasim.poses import (
 )
 from benchmark.extensions.alpasim.session import CallRefusedError, EgodriverService
 from benchmark.planning import EgoState, Observation, Plan, PlanFrame, Ride, SceneInfo
-from benchmark.untrusted.files import GRPC_PICTURE, to_one_line
+from benchmark.untrusted.files import GRPC_PICTURE
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden_sets import GoldenFolder, GoldenSet, build_damage_error
+from benchmark.verification.golden_sets import GoldenFolder, GoldenSet, unpack_gzip
 
-_MOST_BYTES: Final = 64 << 20
 _MODEL: Final = "carla"
 """Whose answers to calls out of order ours are: ``errors_carla_...``."""
 
@@ -52,17 +49,6 @@ class _Call:
         return self.path in METHODS
 
 
-def _unpack(path: Path) -> bytes:
-    try:
-        with gzip.open(path) as file:
-            data = file.read(_MOST_BYTES + 1)
-    except (OSError, EOFError, zlib.error) as error:
-        raise build_damage_error(path, to_one_line(error)) from error
-    if len(data) > _MOST_BYTES:
-        raise build_damage_error(path, f"it holds over {_MOST_BYTES >> 20} MB")
-    return data
-
-
 def _split(data: bytes) -> Iterator[bytes]:
     """Parts of a file, each behind its length."""
     at = 0
@@ -75,8 +61,8 @@ def _split(data: bytes) -> Iterator[bytes]:
 
 
 def _read_calls(path: Path) -> list[_Call]:
-    parts = list(_split(_unpack(path)))
-    lines = _unpack(path.with_name(path.name.replace(".bin.", ".jsonl."))).splitlines()
+    parts = list(_split(unpack_gzip(path)))
+    lines = unpack_gzip(path.with_name(path.name.replace(".bin.", ".jsonl."))).splitlines()
     told = [json.loads(line) for line in lines]
     if len(parts) != 2 * len(told):
         raise ValueError(f"{path.name} has {len(parts)} messages of {len(told)} calls")
@@ -97,7 +83,7 @@ def _compare_messages(comparison: Comparison, folder: GoldenFolder) -> None:
                 wrong = not _agrees(message, call.told.get(text) or {})
                 comparison.verdicts("messages, values", wrong, where=path.name)
     for path in folder.named("*.asl.gz"):
-        for data in _split(_unpack(path)):
+        for data in _split(unpack_gzip(path)):
             message = decode_message("LogEntry", data, GRPC_PICTURE)
             comparison.verdicts("log entries, bytes", encode_message(message) != data, where=path.name)
     if others:
@@ -179,7 +165,7 @@ def _is_well_formed(answer: Any, request: Any, now: Poses) -> bool:
 def _compare_client(comparison: Comparison, folder: GoldenFolder) -> None:
     """What our client sends from the recorded poses: times of drives, egomotion, and routes to the recording's end."""
     for path in folder.named("*.asl.gz"):
-        first = decode_message("LogEntry", next(_split(_unpack(path))), GRPC_PICTURE).rollout_metadata
+        first = decode_message("LogEntry", next(_split(unpack_gzip(path))), GRPC_PICTURE).rollout_metadata
         recorded = decode_trajectory(first.ego_rig_recorded_ground_truth_trajectory)
         calls = _read_calls(path.with_name(path.name.replace(".asl.", ".bin.")))
         _compare_rollout(comparison.at(path.name), first, recorded, calls)

@@ -1,7 +1,5 @@
 """Scene scores of a golden set of AlpaSim's own evaluation: every time, every drive and whole runs, by both rules."""
 
-import gzip
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -23,15 +21,14 @@ from benchmark.extensions.alpasim_score.scene_score import (
 )
 from benchmark.geometry import Bools, Floats, yaw_of_quaternion
 from benchmark.metrics.rates import compute_ratios_over_scenes
-from benchmark.untrusted.files import to_one_line
+from benchmark.untrusted.text_files import parse_json
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden_sets import GoldenFolder, GoldenSet, build_damage_error
+from benchmark.verification.golden_sets import GoldenFolder, GoldenSet, unpack_gzip
 
 INPUTS: Final = "inputs.json.gz"
 EXPECTED: Final = {"expected_main_2026-07.json.gz": JULY, "expected_challenge_2026-09.json.gz": SEPTEMBER}
 TOLERANCE: Final = 2e-5
 """Theirs is partly in single precision."""
-MOST_BYTES: Final = 64 << 20
 EGO: Final = "EGO"
 PARTS: Final = {
     "dist_to_gt_trajectory": "from_path_m",
@@ -193,12 +190,4 @@ def _singles(values: Any) -> Floats:
 
 
 def _read(path: Path) -> Any:
-    """Value of a compressed JSON file of at most 64 MB."""
-    try:
-        with gzip.open(path) as file:
-            data = file.read(MOST_BYTES + 1)
-    except (OSError, EOFError) as error:
-        raise build_damage_error(path, to_one_line(str(error))) from error
-    if len(data) > MOST_BYTES:
-        raise build_damage_error(path, f"it holds over {MOST_BYTES >> 20} MB")
-    return json.loads(data)
+    return parse_json(unpack_gzip(path))

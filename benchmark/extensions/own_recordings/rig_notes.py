@@ -5,7 +5,7 @@ from typing import Final
 
 from benchmark.constants import CAMERA_NAMES
 from benchmark.datasets.categories import LIDAR_PLACE, CategoryNames
-from benchmark.extensions.own_recordings.rigs import NUSCENES_VIEWS, find_angles
+from benchmark.extensions.own_recordings.rigs import NUSCENES_VIEWS, find_angles, turn_between
 from benchmark.records.run_schema import PlannerFacts, is_baseline
 from benchmark.scene import Camera
 
@@ -49,7 +49,7 @@ def _compare(camera: Camera) -> str:
     across = float(camera.intrinsic[0, 0]) * _WIDTH / camera.width
     down = float(camera.intrinsic[1, 1]) * _HEIGHT / camera.height
     yaw, pitch = find_angles(camera.rotation)
-    turned = (yaw - NUSCENES_VIEWS[camera.name].yaw_deg + 180.0) % 360.0 - 180.0
+    turned = turn_between(yaw, NUSCENES_VIEWS[camera.name].yaw_deg)
     parts = []
     if max(abs(across / focal - 1.0), abs(down / focal - 1.0)) > _FOCAL_SHARE:
         shape = f"{across:.0f}" if abs(across / down - 1.0) <= _FOCAL_SHARE else f"{across:.0f} x {down:.0f}"

@@ -235,7 +235,7 @@ def _assign(cameras: Sequence[_OwnCamera], views: Mapping[str, ViewDirection]) -
 
 
 def _differ(camera: _OwnCamera, view: ViewDirection) -> float:
-    away = abs((camera.yaw_deg - view.yaw_deg + 180.0) % 360.0 - 180.0)
+    away = abs(turn_between(camera.yaw_deg, view.yaw_deg))
     if away > FARTHEST_DEG:
         return math.inf
     wider = 0.0 if view.fov_deg is None else (camera.fov_deg - view.fov_deg) / _DEGREES_OF_VIEW
@@ -248,7 +248,7 @@ def _find_direction(name: str, tables: Tables) -> _OwnCamera:
     if len(looks[0][2]) != 3:
         raise InputError(f"{name} has no intrinsics to tell its view by; say in a JSON file which one it is")
     yaw, _, intrinsic = looks[0]
-    if any(abs((other - yaw + 180.0) % 360.0 - 180.0) > FARTHEST_DEG for other, *_ in looks):
+    if any(abs(turn_between(other, yaw)) > FARTHEST_DEG for other, *_ in looks):
         raise InputError(f"{name} looks in different directions in different logs; say in a JSON file which view it is")
     # The principal point is about the centre of the picture.
     fov = 2.0 * math.degrees(math.atan2(float(intrinsic[0][2]), float(intrinsic[0][0])))
@@ -273,6 +273,11 @@ def find_angles(rotation: Sequence[float] | Floats) -> tuple[float, float]:
     """Heading (to the left positive) and pitch (upwards positive) of an optical axis, degrees, from its quaternion."""
     x, y, z = rotation_matrix(np.array(rotation, np.float64))[:, 2].tolist()
     return math.degrees(math.atan2(y, x)), math.degrees(math.asin(max(-1.0, min(1.0, z))))
+
+
+def turn_between(yaw_deg: float, from_deg: float) -> float:
+    """The turn from one heading to another, degrees from -180 to 180."""
+    return (yaw_deg - from_deg + 180.0) % 360.0 - 180.0
 
 
 def name_missing_views(names: CategoryNames) -> list[str]:

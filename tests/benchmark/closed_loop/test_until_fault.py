@@ -135,6 +135,20 @@ def test_records_say_what_ended_their_drives_and_lie_apart(tmp_path: Path) -> No
     assert again.rows[0].end == "end" and records["contact"].rows[0].end == "contact"
 
 
+@pytest.mark.parametrize("maker", [FAULT, BY_NUPLAN])
+def test_plans_ten_times_a_second_end_by_the_same_rule(maker: DefaultBackend) -> None:
+    scene = road(BEHIND, STANDING, seconds=16.0)
+    stage = replace(staged(scene, maker), plan_hz=10)
+    found = run_episode(stage, Watching(speed=6.0))
+    scores = score_episode(scene, found)
+    assert [each.kind for each in scores.passed] == ["rear"]
+    assert scores.contact is not None and scores.contact.kind == "stopped_track" and scores.contact.at_fault
+    (touch,) = found.passed
+    assert not found.motion.present[0, found.motion.times_us >= touch.time_us + 100_000].any()
+    row = build_episode_row(stage, found, scores)
+    assert redrive_and_score(maker, scene, FakeData({scene.name: scene}), row) == row
+
+
 def test_what_there_is_not_is_refused() -> None:
     with pytest.raises(InputError, match="unknown --until 'faults'; did you mean fault"):
         make_backend("default", until="faults")

@@ -1,5 +1,7 @@
 """The one reader of golden sets and the one form in which they are declared."""
 
+import gzip
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +9,7 @@ import pytest
 
 from benchmark.errors import InputError
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden_sets import GoldenFolder, GoldenSet
+from benchmark.verification.golden_sets import GoldenFolder, GoldenSet, unpack_gzip
 from tests.benchmark.verification.damaged import refuses, said
 
 
@@ -48,6 +50,24 @@ def test_a_damaged_set_is_one_sentence(whole: Path, tmp_path: Path) -> None:
 def test_facts_of_another_form_are_one_sentence(whole: Path, facts: str) -> None:
     (whole / "facts.json").write_text(facts)
     said(FAMILY.verify, whole)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda data: data[: len(data) // 2],
+        lambda data: data[:20] + bytes(len(data) - 40) + data[-20:],
+        lambda data: b"not compressed",
+        lambda data: gzip.compress(bytes(65 << 20)),
+    ],
+)
+def test_a_damaged_compressed_file_is_one_sentence(tmp_path: Path, damage: Callable[[bytes], bytes]) -> None:
+    path, data = tmp_path / "numbers.json.gz", gzip.compress(np.random.default_rng(0).bytes(4096))
+    path.write_bytes(data)
+    assert len(unpack_gzip(path)) == 4096
+    path.write_bytes(damage(data))
+    with pytest.raises(InputError, match="is damaged"):
+        unpack_gzip(path)
 
 
 def test_a_number_that_is_absent_never_agrees(whole: Path) -> None:

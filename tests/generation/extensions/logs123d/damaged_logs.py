@@ -1,4 +1,4 @@
-"""123D logs damaged in every way that somebody thought of, and by chance: of files as Arrow, and of their bytes."""
+"""123D logs damaged in ways that are listed here, and by chance: of files as Arrow, and of their bytes."""
 
 import struct
 from collections.abc import Callable
