@@ -34,9 +34,9 @@ def processor_ticks(process: int) -> int:
     return sum(map(int, _stat(process)[11:15]))
 
 
-def resident_mb(process: int) -> float:
-    """Memory that it holds now; 0 where it is gone."""
-    words = _read(process, "status").partition("VmRSS:")[2].split()
+def resident_mb(process: int, of: str = "VmRSS") -> float:
+    """Memory that it holds now; 0 where it is gone. ``RssAnon`` is what a copy of it begins with: not mapped files."""
+    words = _read(process, "status").partition(f"{of}:")[2].split()
     return float(words[0]) / 1024 if words else 0.0
 
 

@@ -240,7 +240,7 @@ def test_the_code_of_the_page_is_that_of_the_package() -> None:
     assert len(shown) >= 8
     for block in shown:
         # Dots stand for what is left out.
-        parts = [part for part in re.split(r"^ *\.\.\.\n", block, flags=re.MULTILINE) if part.strip()]
+        parts = [part for part in re.split(r"(?:^ *|: )\.\.\.\n", block, flags=re.MULTILINE) if part.strip()]
         assert any(all(part in text for part in parts) for text in texts), block
 
 

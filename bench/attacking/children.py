@@ -32,7 +32,7 @@ class CommandOutcome:
         cpu_s: Processor time, with its own children's.
         wall_s: Time on the wall.
         patience_s: How long it might have taken on the wall: 20 s where a processor is free, more where others wait.
-        peak_bytes: Largest memory in use, of it or one of its children.
+        peak_bytes: Largest memory in use, of it or one of its children, without what it was copied with.
     """
 
     code: int
@@ -56,16 +56,22 @@ class RunningCommand:
     Attributes:
         process: It, which leads a process group.
         printed: Files of what it prints.
+        copied_bytes: Memory of the process that it is a copy of, when it began.
     """
 
     process: int
     printed: tuple[Path, Path]
+    copied_bytes: int
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.kill()
+
+    def held_bytes(self) -> int:
+        """Memory that it holds now, without what it was copied with."""
+        return max(int(resident_mb(self.process) * 2**20) - self.copied_bytes, 0)
 
     def kill(self) -> None:
         """End its process group at once."""
@@ -91,7 +97,9 @@ class RunningCommand:
             path.unlink(missing_ok=True)
         # Kilobytes on Linux, bytes on macOS.
         peak = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-        return CommandOutcome(code, out, err, usage.ru_utime + usage.ru_stime, wall, patience, peak)
+        return CommandOutcome(
+            code, out, err, usage.ru_utime + usage.ru_stime, wall, patience, max(peak - self.copied_bytes, 0)
+        )
 
 
 def run_command(
@@ -118,10 +126,11 @@ def begin_command(arguments: Sequence[str], folder: Path, *, bounded: bool = Fal
     printed = folder.with_name(f"{folder.name}.out"), folder.with_name(f"{folder.name}.err")
     sys.stdout.flush()
     sys.stderr.flush()
+    copied = int(resident_mb(os.getpid(), "RssAnon") * 2**20)
     child = os.fork()
     if child == 0:
         _become_command(arguments, folder, printed, bounded=bounded)
-    return RunningCommand(child, printed)
+    return RunningCommand(child, printed, copied)
 
 
 def _await(begun: RunningCommand, deadline: float, until: str) -> tuple[int, resource.struct_rusage]:
@@ -131,7 +140,7 @@ def _await(begun: RunningCommand, deadline: float, until: str) -> tuple[int, res
         ended_child, status, usage = os.wait4(child, os.WNOHANG)
         if ended_child:
             return os.waitstatus_to_exitcode(status), usage
-        if resident_mb(child) * 2**20 > MEMORY_BYTES * _OVER:
+        if begun.held_bytes() > MEMORY_BYTES * _OVER:
             os.kill(child, signal.SIGKILL)
         if waiting and any(path.exists() and until in path.read_text(errors="replace") for path in begun.printed):
             os.kill(child, signal.SIGINT)

@@ -75,7 +75,7 @@ class OwnServer:
         memory_mb = resident_mb(self.process)
         code = 0 if is_alive(self.process) else -signal.SIGKILL
         spent = time.monotonic() - began
-        ended = CommandOutcome(code, "", output[self._said :], 0.0, spent, HANG_S, int(memory_mb * 2**20))
+        ended = CommandOutcome(code, "", output[self._said :], 0.0, spent, HANG_S, self._begun.held_bytes())
         outcome = fall(ended) or self._verdict(request, reply, memory_mb)
         self._said = len(output)
         return outcome, ended
