@@ -62,7 +62,7 @@ def find_track_defects(
         "contact": bool(np.delete(touching, ego, axis=0).any()),
         "against_traffic": None
         if road_map is None
-        else _lasts_longer_than(_find_against_traffic(boxes, road_map)[None], seconds, AGAINST_S),
+        else _lasts_longer_than((find_lane_turns(boxes, road_map)[0] > AGAINST_RAD)[None], seconds, AGAINST_S),
         "hovering": _lasts_longer_than(near, seconds, HOVERING_S),
         "teleport": None if at_keyframes else bool(find_teleports(seconds, boxes).any()),
     }
@@ -115,19 +115,19 @@ def _find_off_road(boxes: Floats, road_map: RoadMap) -> Bools:
     return np.asarray(~shapely.dwithin(area, corners, OFF_ROAD_M).all(axis=-1))
 
 
-def _find_against_traffic(boxes: Floats, road_map: RoadMap) -> Bools:
-    """(F,) whether the heading is against every lane below the centre; where there is none, or one goes along, not."""
-    below, along = np.zeros(len(boxes), np.bool_), np.zeros(len(boxes), np.bool_)
+def find_lane_turns(boxes: Floats, road_map: RoadMap) -> tuple[Floats, Floats]:
+    """(F,) smallest and (F,) largest angle between the heading and the lanes below the centre, [0, pi]; NaN for none."""
+    turns: Floats = np.full((2, len(boxes)), np.nan)
     for lane in road_map.lanes.values():
         if lane.polygon is None:
             continue
         inside = np.flatnonzero(shapely.contains_xy(lane.polygon, boxes[:, 0], boxes[:, 1]))
         if not len(inside):
             continue
-        below[inside] = True
         turn = np.abs(wrap_angle(boxes[inside, 4] - _compute_directions(lane.centerline, boxes[inside, :2])))
-        along[inside[turn <= AGAINST_RAD]] = True
-    return np.asarray(below & ~along)
+        turns[0, inside] = np.fmin(turns[0, inside], turn)
+        turns[1, inside] = np.fmax(turns[1, inside], turn)
+    return turns[0], turns[1]
 
 
 def _compute_directions(line: Floats, points: Floats) -> Floats:

@@ -70,6 +70,8 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "protocol neuroncap": "benchmark.extensions.http.cli:NeuroncapServeOptions",
         "protocol alpasim": "benchmark.extensions.alpasim.cli:AlpasimServeOptions",
     },
+    # Parts of the search for adversaries that presets ask for.
+    "search": {"behaviour": "generation.extensions.effect.behaviour:find_behaviour_fault"},
     # Pictures of scenes for ``data show``.
     "pictures": {"conditions": "generation.extensions.magicdrive.condition_pictures:write_condition_pictures"},
     # Names of recordings that mean nuScenes' (`benchmark.datasets.categories.choose_names`).

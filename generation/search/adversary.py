@@ -12,6 +12,7 @@ from benchmark.dynamics.bicycle import MotionModel
 from benchmark.errors import InputError
 from benchmark.fairness.scene_assessment import AdversaryProvenance, assess_scene
 from benchmark.geometry import Floats, boxes_overlap
+from benchmark.machine.extension import import_from_extension
 from benchmark.machine.storage import content_key, content_seed
 from benchmark.records.attempts import Approach, Attempt
 from benchmark.records.scene_pages import TraceFrame
@@ -165,6 +166,8 @@ def _assess(outcome: SearchOutcome, planning: AdversaryPlanning, earlier: Mappin
     # The reference code makes all its checks at the planning frames.
     verified_here = planning.hyper.discards is not DiscardRules.REFERENCE
     finding = verify(changed, agent, start, planning.hyper, planning.model.limits) if verified_here else None
+    if finding is None and planning.hyper.behaviour:
+        finding = import_from_extension("search", "behaviour")(changed, agent, start)
     soonest = float(compute_times_to_collision(changed, agent, start).min())
     closest = find_closest_approach(changed, agent, start)
     changes: dict[str, Any] = {

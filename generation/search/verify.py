@@ -115,6 +115,15 @@ class DiscardReason(StrEnum):
     SCORES_TOO_HIGH = "best-score-above-the-limit"
     UNSOLVABLE = "unsolvable"
     ANOTHER_MANOEUVRE = "another-manoeuvre-than-asked"
+    AGAINST_TRAFFIC = "against-traffic"
+    ACROSS_ROAD = "turns-across-the-whole-road"
+    PRESSING = "presses-a-leader"
+    RIDING_BESIDE = "rides-beside-another"
+    STICKING = "sticks-to-another"
+    CIRCLING = "circles"
+    OFF_ROAD = "off-the-road"
+    HEAD_ON = "at-rest-head-on-in-the-ego's-lane"
+    WEAVING = "weaves"
 
     @classmethod
     def touches(cls, protocol: str) -> "DiscardReason":

@@ -1,0 +1,1 @@
+"""Search by effect: retimed paths, faults of behaviour, conflicts, and a panel that chooses scenes."""
