@@ -31,7 +31,7 @@ from benchmark.records.rows import SampleRows
 from benchmark.records.run import RunRecord, write_record
 from benchmark.records.run_schema import TruthFacts
 from benchmark.report.words import pluralise
-from benchmark.runs.caveats import list_camera_caveats, list_run_caveats
+from benchmark.runs.caveats import list_run_caveats, list_source_caveats
 from benchmark.runs.judging import JudgedScenes, describe_data, describe_given_names
 from benchmark.runs.pairing import name_partner
 from benchmark.runs.plan_rows import PlannerFactory, describe_sandbox_limits, open_plan_store, plan_scene, scene_key
@@ -324,7 +324,7 @@ def _write_run(
     data: "DataSet",
 ) -> RunRecord:
     facts, settings, directory = planned.run.planner, planned.settings, planned.run.directory
-    known = (*getattr(planned.factory, "caveats", ()), *list_camera_caveats(facts, data, planned.scenes))
+    known = (*getattr(planned.factory, "caveats", ()), *list_source_caveats(facts, data, planned.scenes))
     run_facts = {
         **shared,
         "caveats": list_run_caveats(facts, shared["scene_facts"], rows, known),

@@ -28,6 +28,7 @@ from benchmark.api.planners import (
     load_planner as load_planner,
     find_runnable_model as find_runnable_model,
     measure_traffic as measure_traffic,
+    planner_panel as planner_panel,
     planner_under_test as planner_under_test,
     require_device as require_device,
     require_devices as require_devices,

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
     from benchmark.records.statistics import TrafficStatistics
     from benchmark.sandbox.limits import SandboxLimits
+    from generation.pipeline.panel import PlannerPanel
     from generation.pipeline.surrogate import PlannerUnderTest
 
 _DEVICE: Final = re.compile(r"auto|cpu|cuda(:\d+)?")
@@ -123,6 +124,25 @@ def planner_under_test(
 
     factory = load_planner(name, checkpoint, data=data, seed=seed, supervision=supervision)
     return PlannerUnderTest(factory, images=uses_images(name) is not False, workers=worker_count(workers))
+
+
+PANEL_MEMBERS: Final = (("noisy-log", 10), ("constant-velocity-on-path", 1))
+"""Planners without images whose contacts choose scenes, with the number of their seeds."""
+
+
+def planner_panel(per_scene: int | None = None) -> "PlannerPanel":
+    """The panel that ranks the scenes of ``generate --preset effect``.
+
+    Args:
+        per_scene: Most scenes of a recording that are kept; two by default.
+
+    Returns:
+        Its members and how they are made.
+    """
+    from adapters.models import build_baseline
+    from generation.pipeline.panel import PlannerPanel
+
+    return PlannerPanel(PANEL_MEMBERS, build_baseline, per_scene or 2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -37,7 +37,7 @@ def generate_command(options: GenerateOptions) -> None:
     from benchmark.machine.several_devices import count_workers, require_one_device
     from benchmark.runs.units import Shard
     from generation.search.differences_from_paper import format_differences
-    from generation.search.presets import build_hyper_parameters, build_trajectory_model
+    from generation.search.presets import build_further_settings, build_hyper_parameters, build_trajectory_model
 
     _require_generated(options.split)
     data = api.DataSource.of(options)
@@ -58,6 +58,7 @@ def generate_command(options: GenerateOptions) -> None:
         "solvable": False if options.keep_unsolvable else None,
     }
     hyper = build_hyper_parameters(options.preset, shortcuts, options.changes or ())
+    further = build_further_settings(options.preset, shortcuts, options.changes or ())
     manoeuvres = _parse_manoeuvres(options)
     if options.variants is not None and options.per_scene is not None:
         raise InputError("--variants keeps scenes that differ, --per-scene the most challenging ones; give only one")
@@ -122,6 +123,8 @@ def generate_command(options: GenerateOptions) -> None:
         ),
         "scenes": named,
         "surrogate": under_test,
+        "panel": api.planner_panel(options.per_scene) if further else None,
+        "further": () if manoeuvres else further,
         "asked": manoeuvres,
         "total": options.top,
         "renderer": drawing,

@@ -86,7 +86,7 @@ AsPublished = Annotated[
     Option("What networks do as in the published runs of their repositories (docs/models.md); repeatable.", "Planner"),
 ]
 Preset = Annotated[
-    Literal["default", "near", "paper", "reference"],
+    Literal["default", "effect", "near", "paper", "reference"],
     Option("default, near (no threats), paper (text), reference (code); --dry-run lists departures.", "Search"),
 ]
 Set = Annotated[

@@ -83,10 +83,11 @@ REFERENCE_DRIVER_KINDS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class ReferenceDriver:
-    """A driver, and whether it reacts to the adversary alone (it can still hit others)."""
+    """A driver, and whether it reacts to the adversary alone (it can still hit others), and steps later than others."""
 
     driver: Driver
     adversary_only: bool = False
+    late_steps: int = 0
 
 
 REFERENCE_DRIVERS: Final = tuple(map(ReferenceDriver, REFERENCE_DRIVER_KINDS))
@@ -194,6 +195,7 @@ class DriverSimulation:
         self._unsafe = np.zeros((count, instants - 1), np.bool_)
         self._reasons: list[int | None] = [None] * count
         self._memory = ReactionState.fresh([rung.driver for rung in rungs])
+        self._memory.delay += np.array([[rung.late_steps] for rung in rungs], np.float64).reshape(-1, 1)
         self._free_speed = max(SLOWEST_REACTING_M_S, float(situation.speed.max()))
 
     def step(self, step: int, seen: DrivingSituation, instant: int) -> None:

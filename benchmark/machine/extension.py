@@ -71,7 +71,12 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "protocol alpasim": "benchmark.extensions.alpasim.cli:AlpasimServeOptions",
     },
     # Parts of the search for adversaries that presets ask for.
-    "search": {"behaviour": "generation.extensions.effect.behaviour:find_behaviour_fault"},
+    "search": {
+        "behaviour": "generation.extensions.effect.behaviour:find_behaviour_fault",
+        "retiming": "generation.extensions.effect.retiming:iterate_retimings",
+        "conflicts": "generation.extensions.effect.conflicts:describe_conflicts",
+        "panel": "generation.extensions.effect.panel:rank_by_effect",
+    },
     # Pictures of scenes for ``data show``.
     "pictures": {"conditions": "generation.extensions.magicdrive.condition_pictures:write_condition_pictures"},
     # Names of recordings that mean nuScenes' (`benchmark.datasets.categories.choose_names`).

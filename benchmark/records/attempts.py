@@ -218,6 +218,9 @@ def list_stored_labels(report: Any) -> list[Any]:
 SEARCH: Final = "search"
 """In ``challenger.json`` of such a split: hash of everything but the seed that decided its search."""
 
+PANEL: Final = "panel"
+"""In ``challenger.json`` of a split whose scenes were chosen by planners: their names and seeds, as text."""
+
 
 def read_generated_facts(made: Mapping[str, Any] | None) -> GeneratedFacts | None:
     """Which search a data set's scenes come from, by ``challenger.json``; ``None`` if it names no seed, or several."""

@@ -8,6 +8,7 @@ from benchmark.datasets.annotated_objects import AnnotationCount
 from benchmark.datasets.categories import SENSOR
 from benchmark.datasets.truth_facts import MISFIT_SHARE, are_boxes_across
 from benchmark.machine.extension import call_extension
+from benchmark.records.attempts import PANEL
 from benchmark.records.caveats import OF_THE_DOOR, Caveat, sort_caveats
 from benchmark.records.drive_schema import ClosedLoopDefinition, EpisodeRow
 from benchmark.records.rows import SampleRows
@@ -104,12 +105,15 @@ def list_planner_caveats(planner: PlannerFacts, scenes: Mapping[str, SceneFacts]
         )
 
 
-def list_camera_caveats(planner: PlannerFacts, data: "DataSet", scenes: Sequence[str]) -> list[Caveat]:
-    """Caveats about views that a rig lacks, and how far it is from the one that networks were trained on."""
+def list_source_caveats(planner: PlannerFacts, data: "DataSet", scenes: Sequence[str]) -> list[Caveat]:
+    """Caveats about views that a rig lacks, how far it is from the one that networks know, and who chose scenes."""
+    panel = (data.provenance() or {}).get(PANEL)
+    chosen = f"scenes were chosen for being hard for {panel}: these planners are not held out"
+    caveats = [Caveat(kind="panel", sentence=chosen[:1000])] if isinstance(panel, str) else []
     if not any(name.startswith(SENSOR) for name, _ in data.categories):
-        return []
+        return caveats
     sentences = call_extension("names", "caveats", planner, data.categories, data.scene(scenes[0]).cameras)
-    return [Caveat(kind="cameras", sentence=sentence) for sentence in sentences]
+    return caveats + [Caveat(kind="cameras", sentence=sentence) for sentence in sentences]
 
 
 def list_drive_input_caveats(

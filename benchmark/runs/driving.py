@@ -30,7 +30,7 @@ from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.run_schema import PlannerFacts, TruthFacts
 from benchmark.records.search_trace import FOLDER as CONSIDERED
 from benchmark.report.words import pluralise
-from benchmark.runs.caveats import list_camera_caveats, list_drive_caveats
+from benchmark.runs.caveats import list_drive_caveats, list_source_caveats
 from benchmark.runs.drive_rows import mark_labelled
 from benchmark.runs.drive_settings import KEPT, ClosedLoopJob, EpisodeTask, EpisodeUnit
 from benchmark.runs.drive_settings import DriveSettings as DriveSettings
@@ -85,7 +85,7 @@ def _config(of: ClosedLoopResults) -> dict[str, Any]:
 
 def _caveats(of: ClosedLoopResults) -> Any:
     compared = ComparedPlans.joined(result.compared for result in of.results)
-    cameras = list_camera_caveats(of.job.planner, of.data, of.scenes)
+    cameras = list_source_caveats(of.job.planner, of.data, of.scenes)
     door = (*getattr(of.job.factory, "caveats", ()), *cameras)
     return list_drive_caveats(of.job.planner, of.of_data["scene_facts"], of.rows, of.job.measured, compared, door)
 

@@ -68,6 +68,7 @@ class DataSetPlan:
         lossless: Beside each JPEG file a PNG file of the same name, which no table names.
         frozen: Name and content hash of the frozen split that it is built from, if it is.
         search: Hash of what decided its search beside the seed; of splits that are called after their seed alone.
+        panel: Planners that chose among its scenes, with their seeds; empty where none did.
         left_out: Scenes that an inspector rejected, each with the number of its variant; none of another split.
         keeps_instances: Whether identifiers of objects stay what they are in every scene, because each is in one scene
             alone: of imported scenes, which may be variants that had identifiers of their own already.
@@ -88,6 +89,7 @@ class DataSetPlan:
     search: str | None = None
     left_out: tuple[tuple[int, StandingVerdict], ...] = ()
     keeps_instances: bool = False
+    panel: str = ""
 
     def __post_init__(self) -> None:
         if not 1 <= self.jpeg_quality <= 100:

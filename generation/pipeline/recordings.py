@@ -44,6 +44,7 @@ def build_search(source: DataSet, names: Sequence[str], settings: BuildSettings)
         state=settings.out / STATE_FOLDER,
         timings=settings.timing,
         asked=settings.asked,
+        further=settings.further,
     )
 
 

@@ -45,6 +45,8 @@ class BuildReport:
         requests: By kind of manoeuvre, if any was asked for: of how many vehicles (``asked``), how many of them drive
             in a direction in which they can do it (``tried``), attempts that passed verification and do it (``kept``),
             and how many are ``written``.
+        panel: Members of the panel that ranked the scenes, with their seeds, and what it found; no part of the JSON where
+            there was none.
         runtime: How long the work took, on this or an earlier run; no part of the JSON, which is the same every time.
         unlabelled: Recorded scenes that were skipped because they have no annotations; no part of the JSON where there
             are none.
@@ -64,6 +66,7 @@ class BuildReport:
     adversaries: int = 1
     requests: dict[str, dict[str, int]] = field(default_factory=dict)
     surrogate: dict[str, Any] | None = None
+    panel: dict[str, Any] | None = None
     estimate: WorkEstimate | None = None
     runtime: RuntimeTable | None = None
     dry_run: bool = False
@@ -109,6 +112,8 @@ class BuildReport:
         values = asdict(self)
         del values["runtime"]
         values["unlabelled"] = list(self.unlabelled)
+        if self.panel is None:
+            del values["panel"]
         if not self.unlabelled:
             del values["unlabelled"]
         return {**values, "written": list(self.written)}
@@ -173,6 +178,11 @@ class BuildReport:
         ]
         if verbose and self.masked_steps:
             lines.append(f"  {format_masked_steps(self.masked_steps)}")
+        if self.panel is not None:
+            lines.append(
+                f"  panel: {', '.join(self.panel['members'])}, distracted; {self.panel['inert']} inert of "
+                f"{pluralise(self.survived, 'scene')}"
+            )
         if self.surrogate is not None:
             lines.append(
                 f"  {self.surrogate['planner']} fails {self.surrogate['scenes_failed']} of "

@@ -1,12 +1,14 @@
 """Generated scenes that are written: most challenging, failed by the surrogate, not rejected, and varied."""
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from benchmark.datasets.roots import DataSet
+from benchmark.machine.extension import import_from_extension
 from benchmark.records.review import REJECTED, StandingVerdict, read_review
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan
@@ -100,7 +102,7 @@ def find_rejected_jobs(
 class SceneSelection:
     """Scenes that are written, best first; ``left_out`` were rejected and have the numbers of their variants.
 
-    ``staging`` is the data set that the surrogate was judged on, ``staged`` has its content keys by name of the scene.
+    ``panel`` says who ranked them, and by what. ``staging`` is the data set that the surrogate was judged on, ``staged`` has its content keys by name of the scene.
     """
 
     chains: list[AdversaryChain]
@@ -109,6 +111,7 @@ class SceneSelection:
     staging: DataSetPlan | None = None
     staged: dict[str, str] | None = None
     left_out: tuple[tuple[int, StandingVerdict], ...] = ()
+    panel: dict[str, Any] | None = None
 
     def reuse_pictures(self, plan: DataSetPlan) -> None:
         """Put pictures that were drawn for the surrogate where they belong."""
@@ -127,10 +130,15 @@ def select_scenes(source: DataSet, plan: DataSetPlan, found: SearchResult, setti
             found.drop(chain, DropReason.REJECTED)
     order = [chain for chain in order if chain.name not in rejected]
     left_out = tuple(rejected.values())
+    panel = None
+    if settings.panel is not None and order:
+        order, inert, panel = import_from_extension("search", "panel")(source, order, settings.panel)
+        for chain in inert:
+            found.drop(chain, DropReason.INERT)
     if settings.surrogate is None or not order:
         selected = _select_most_challenging(found, order, settings)
         own = number_jobs(plan, [by_name[chain.name] for chain in selected], source)
-        return SceneSelection(selected, own, left_out=left_out)
+        return SceneSelection(selected, own, left_out=left_out, panel=panel)
     staging, jobs = build_staging_plan(plan, settings.surrogate), [by_name[chain.name] for chain in order]
     keys = write_scenes(
         staging,
@@ -151,18 +159,32 @@ def select_scenes(source: DataSet, plan: DataSetPlan, found: SearchResult, setti
     selected = _select_most_challenging(found, failing, settings)
     staged = {job.name: key for job, key in zip(jobs, keys, strict=True)}
     own = number_jobs(plan, [by_name[chain.name] for chain in selected], source)
-    return SceneSelection(selected, own, judgement, staging, staged, left_out)
+    return SceneSelection(selected, own, judgement, staging, staged, left_out, panel)
 
 
 def _select_most_challenging(
     result: SearchResult, chains: Sequence[AdversaryChain], settings: BuildSettings
 ) -> list[AdversaryChain]:
     apart = chains if settings.variants is None else select_differing(chains, settings.variants)
-    selected = rank_scenes(apart, per_scene=settings.per_scene, total=settings.total)
+    if settings.panel is None:
+        selected = rank_scenes(apart, per_scene=settings.per_scene, total=settings.total)
+    else:
+        selected = _select_first(apart, settings.per_scene or settings.panel.per_scene)[: settings.total]
     names = {chain.name for chain in selected}
     for chain in chains:
         if chain.name not in names:
             result.drop(chain, DropReason.BEYOND_LIMIT)
+    return selected
+
+
+def _select_first(chains: Sequence[AdversaryChain], per_scene: int) -> list[AdversaryChain]:
+    """The first ones of each recording, in the order given."""
+    taken: Counter[str] = Counter()
+    selected = []
+    for chain in chains:
+        taken[chain.scene_name] += 1
+        if taken[chain.scene_name] <= per_scene:
+            selected.append(chain)
     return selected
 
 

@@ -9,6 +9,7 @@ from benchmark.machine.workers import Executor, LocalProcesses
 from benchmark.machine.workspace import find_timings_folder
 from benchmark.records.run_schema import MOST_ADVERSARIES
 from generation.labels.manoeuvres import Manoeuvre
+from generation.pipeline.panel import PlannerPanel
 from generation.pipeline.surrogate import PlannerUnderTest
 from generation.render.contract import Renderer
 from generation.search.definition import PackagedPrior, PriorFactory
@@ -33,6 +34,9 @@ class BuildSettings:
         prior: Makes the diffusion model.
         adversaries: In each scene.
         surrogate: Keep only scenes in which this planner collides; ``None`` keeps all.
+        panel: Rank by the probability that its members touch the adversary, and drop inert scenes; ``None`` ranks by
+            challenge.
+        further: Settings of further searches with the same vehicles' recordings, whose scenes are kept with the others.
         per_scene: Most adversarial variants kept of one source scene, ``None`` for all.
         variants: Most kept of one source scene, each as unlike the others as can be; ``None`` for all.
         asked: Kinds of manoeuvre that every vehicle is asked for, one attempt each; none leaves it free.
@@ -61,6 +65,8 @@ class BuildSettings:
     prior: PriorFactory = field(default_factory=PackagedPrior)
     adversaries: int = 1
     surrogate: PlannerUnderTest | None = None
+    panel: PlannerPanel | None = None
+    further: tuple[HyperParameters, ...] = ()
     per_scene: int | None = None
     variants: int | None = None
     asked: tuple[Manoeuvre, ...] = ()

@@ -86,16 +86,22 @@ def run_search(
     source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings, *, keep: bool = True
 ) -> SearchResult:
     """`search_chains` as the settings of a build say; arguments and errors as of `prepare_build`."""
-    return search_chains(
-        search,
-        source,
-        names,
-        settings.executor,
-        adversaries=settings.adversaries,
-        together=settings.together,
-        keep_rounds=settings.keep_rounds,
-        keep=keep,
+    first, *further = (
+        search_chains(
+            family,
+            source,
+            names,
+            settings.executor,
+            adversaries=settings.adversaries,
+            together=settings.together,
+            keep_rounds=settings.keep_rounds,
+            keep=keep,
+        )
+        for family in search.families
     )
+    for found in further:
+        first.add(found)
+    return first
 
 
 def prepare_build(
@@ -113,10 +119,10 @@ def prepare_build(
     chosen = select_scenes(source, plan, result, settings)
     surrogate = None if chosen.judgement is None else chosen.judgement.as_json(settings.out)
     report = BuildReport.of(len(names), result, chosen.chains, surrogate, settings.adversaries)
-    report = replace(report, split=split, unlabelled=list_unlabelled_scenes(source, settings))
+    report = replace(report, split=split, unlabelled=list_unlabelled_scenes(source, settings), panel=chosen.panel)
     files = _build_report_files(report, result, chosen.chains)
     files["search.json"] = (canonical_json(search.as_json(), indent=1) + "\n").encode()
-    plan = replace(plan, left_out=chosen.left_out)
+    plan = replace(plan, left_out=chosen.left_out, panel="" if settings.panel is None else settings.panel.sentence())
     if parse_seed(split) is not None:
         how = _build_choice(report, settings, plan.left_out)
         plan = replace(plan, search=compute_search_hash(build_search_metadata(search), how, settings.adversaries))
@@ -171,6 +177,7 @@ def _build_choice(
         asked=tuple(kind.value for kind in settings.asked) or None,
         total=settings.total,
         surrogate=None if report.surrogate is None else str(report.surrogate["planner"]),
+        panel=None if settings.panel is None else settings.panel.sentence(),
         rejected=_build_frozen_rejections(rejected),
     )
 

@@ -24,8 +24,10 @@ from benchmark.datasets.tables import find_variant_folders
 from benchmark.errors import InputError
 from benchmark.fairness.scene_assessment import AdversaryProvenance, assess_scene
 from benchmark.fairness.split_assessment import measure_split_realism
+from benchmark.machine.extension import AbsentExtensionError, import_from_extension
 from benchmark.machine.storage import canonical_json, content_key, read_cached_json, read_json, write_bytes, writing_to
 from benchmark.machine.workers import Executor
+from benchmark.records.attempts import list_adversary_reports
 from benchmark.records.scene_assessment import DEFINITION, SceneAssessment
 from benchmark.records.scene_pages import KEPT_ROUNDS_FOLDER, RefinementTrace, kept_rounds_path
 from benchmark.runs.units import ResultStore, run_units
@@ -34,6 +36,8 @@ from generation.nuscenes_writer import DataSetPlan, finish_data_set
 from generation.nuscenes_writer.numbering import SceneNumber, number_scenes
 from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.nuscenes_writer.scenes import WrittenScene, read_state, read_stored_fragment, write_scene_if_missing
+
+CONFLICTS_FILE: Final = "conflicts.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,6 +202,29 @@ def _publish_assessments(written: WrittenScenes) -> None:
             write_bytes(folder / ASSESSMENTS_FILE, format_assessments(scenes).encode())
 
 
+def _publish_conflicts(written: WrittenScenes) -> None:
+    """Say beside the tables what each adversary does that its recording did not; it is no part of the fingerprint."""
+    plan, of_root = written.plan, dict[Path, dict[str, Any]]()
+    for job in written.jobs:
+        launches = [
+            (entry["agent"], entry["launch_frame"]) for entry in list_adversary_reports(job.report) if "agent" in entry
+        ]
+        if not launches:
+            continue
+        recorded = written.source.scene(job.source_scene)
+        try:
+            conflicts = import_from_extension("search", "conflicts")(recorded, job.make(recorded), launches)
+        except AbsentExtensionError:
+            return
+        root = plan.data_root(job.variant if plan.layout == "per-variant" else 0)
+        of_root.setdefault(root, {})[job.written_as] = conflicts
+    for root, scenes in of_root.items():
+        content = (canonical_json({"schema": 1, "scenes": scenes}, indent=1) + "\n").encode()
+        path = root / plan.version / CONFLICTS_FILE
+        if not path.is_file() or path.read_bytes() != content:
+            write_bytes(path, content)
+
+
 def _finish(written: WrittenScenes) -> None:
     finish_data_set(written.plan, written.keys)
 
@@ -218,6 +245,7 @@ def _publish_realism(written: WrittenScenes) -> None:
 PUBLISHERS: Final[tuple[Callable[[WrittenScenes], None], ...]] = (
     _publish_rounds,
     _publish_assessments,
+    _publish_conflicts,
     _finish,
     _publish_realism,
 )
@@ -283,7 +311,7 @@ def _remove_other_layout(plan: DataSetPlan) -> None:
     claims = filter(None, map(read_state, sorted((plan.state / "claims").glob("*.json"))))
     sensor_files = [other.data_root(claim["variant"]) / path for claim in claims for path in claim["files"]]
     # The tables are removed last: they tell a killed command that there is something to remove.
-    marks = (root / plan.version / name for root in roots for name in (PROVENANCE, ASSESSMENTS_FILE))
+    marks = (root / plan.version / name for root in roots for name in (PROVENANCE, ASSESSMENTS_FILE, CONFLICTS_FILE))
     for path in (*marks, *sensor_files, *left):
         with writing_to(path):
             path.unlink(missing_ok=True)
@@ -309,5 +337,5 @@ def withdraw(root: Path) -> None:
 
 
 def _list_marks(root: Path) -> list[Path]:
-    names = (PROVENANCE, ASSESSMENTS_FILE)
+    names = (PROVENANCE, ASSESSMENTS_FILE, CONFLICTS_FILE)
     return [path for name in names for path in (*root.glob(f"*/{name}"), *root.glob(f"v*/*/{name}"))]

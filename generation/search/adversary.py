@@ -1,6 +1,7 @@
 """One unit of work: one vehicle of one scene becomes an adversary (Algorithm 1), with the same track on any machine."""
 
 import hashlib
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -20,7 +21,7 @@ from benchmark.scene import Scene
 from generation.labels.labelling import compute_labels, compute_times_to_collision, find_closest_approach
 from generation.labels.manoeuvres import Manoeuvre
 from generation.search.candidates import find_launch_frame
-from generation.search.hyperparameters import DiscardRules, HyperParameters
+from generation.search.hyperparameters import CandidateProposal, DiscardRules, HyperParameters
 from generation.search.planning import AdversaryPlanning
 from generation.search.proposals import Diversify, Prior, SearchSeconds, SearchSteps, run_searches
 from generation.search.ranking import compute_challenge_score
@@ -113,12 +114,15 @@ def _search_vehicle(
     asked: Manoeuvre | None,
 ) -> SearchSteps[SearchOutcome]:
     """Search until a result is kept or there is no use in another try."""
-    start = find_launch_frame(scene, agent, hyper)
+    sampled = hyper.proposal is CandidateProposal.SAMPLED
+    start = find_launch_frame(scene, agent, hyper) if sampled else 0
     blank = _build_blank_outcome(scene.name, scene.agents.ids[agent], seed, start, asked)
     if start is None:
         return blank.discarded(VerificationFailure(DiscardReason.NEVER_LAUNCHED))
     if hyper.discards is not DiscardRules.REFERENCE and does_ego_already_collide(scene):
         return blank.discarded(VerificationFailure(DiscardReason.ORIGINAL_COLLIDES))
+    if not sampled:
+        return _judge_proposed(blank, scene, agent, hyper, diversify, model, earlier)
     content = (compute_scene_identity(scene), blank.attempt.agent, seed, hyper.fingerprint, prior_fingerprint)
     request = () if asked is None else (asked.value,)
     stages = {"physics": 0.0, "scoring": 0.0}
@@ -134,6 +138,27 @@ def _search_vehicle(
         if result.finding is None or result.finding.reason is DiscardReason.LEAVES_AREA:
             break
     return replace(result, stage_seconds=stages)
+
+
+def _judge_proposed(
+    blank: SearchOutcome,
+    scene: Scene,
+    agent: int,
+    hyper: HyperParameters,
+    diversify: Diversify,
+    model: MotionModel,
+    earlier: Mapping[str, int],
+) -> SearchOutcome:
+    """First kept of at most ``hyper.tries`` tracks that an extension proposes; none is drawn by chance."""
+    result = blank.discarded(VerificationFailure(DiscardReason.NO_SAFE_CANDIDATE))
+    proposals = import_from_extension("search", "retiming")(scene, agent, hyper)
+    for number, (start, poses) in enumerate(itertools.islice(proposals, hyper.tries)):
+        planning = AdversaryPlanning(scene, agent, start, hyper, diversify, model, np.random.default_rng(0), {})
+        attempt = blank.attempt.model_copy(update={"tries": number + 1, "launch_frame": start})
+        result = _assess(SearchOutcome(attempt, None, poses), planning, earlier)
+        if result.kept:
+            break
+    return result
 
 
 def _build_blank_outcome(

@@ -33,6 +33,7 @@ class DropReason(StrEnum):
     SURROGATE_COPES = "surrogate-does-not-fail"
     BEYOND_LIMIT = "beyond-the-number-kept"
     REJECTED = "rejected-by-hand"
+    INERT = "touches-no-member-of-the-panel"
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +106,8 @@ class AdversaryChain:
         """Name of the generated scene; it does not depend on the rank."""
         # Several manoeuvres may have been requested from the same vehicle.
         kinds = [link.unit.asked.value for link in self.links if link.unit.asked is not None]
-        suffix = make_token("adversary", self.scene_name, *self.agent_ids, *kinds)[:8]
+        families = [link.unit.family for link in self.links if link.unit.family]
+        suffix = make_token("adversary", self.scene_name, *self.agent_ids, *kinds, *families)[:8]
         return f"{self.scene_name.replace('/', '-')}-{suffix}"
 
     @property
@@ -148,6 +150,13 @@ class SearchResult:
     chains: list[AdversaryChain] = field(default_factory=list)
     dropped: dict[SearchUnit, DropReason] = field(default_factory=dict)
     requests: dict[Manoeuvre, RequestCounts] = field(default_factory=dict)
+
+    def add(self, other: "SearchResult") -> None:
+        """Add what a further search of the same recordings found."""
+        self.eligibility += other.eligibility
+        self.tried += other.tried
+        self.chains += other.chains
+        self.dropped |= other.dropped
 
     def drop(self, chain: AdversaryChain, reason: DropReason) -> None:
         """Note that the adversaries of a chain are not written."""
@@ -246,7 +255,8 @@ def _choose_vehicles(
 ) -> tuple[Eligibility, list[SearchUnit]]:
     vehicles = read_or_compute_eligibility(search, chain.scene_name, chain.earlier, lambda: scenes.of(chain), keep=keep)
     units = [
-        SearchUnit(chain.scene_name, vehicle.agent, vehicle.agent_id, chain.earlier) for vehicle in vehicles.chosen
+        SearchUnit(chain.scene_name, vehicle.agent, vehicle.agent_id, chain.earlier, family=search.family)
+        for vehicle in vehicles.chosen
     ]
     if not search.asked:
         return vehicles, units

@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -63,6 +63,7 @@ class SearchUnit:
     agent_id: str
     earlier: tuple[EarlierAdversary, ...] = ()
     asked: Manoeuvre | None = None
+    family: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +71,7 @@ class Search:
     """Everything that decides what an attempt gives.
 
     ``asked`` are kinds of manoeuvre that every vehicle is asked for, one attempt each; none for one free attempt.
+    ``further`` searches of the same recordings have these settings; ``family`` tells their attempts from the first's.
     """
 
     fingerprint: str
@@ -80,6 +82,22 @@ class Search:
     state: Path
     timings: Path
     asked: tuple[Manoeuvre, ...] = ()
+    further: tuple[HyperParameters, ...] = ()
+    family: str = ""
+
+    @property
+    def hyper_fingerprint(self) -> str:
+        """Content key of the settings, of further searches too."""
+        own = self.hyper.fingerprint
+        return content_key(own, *(hyper.fingerprint for hyper in self.further)) if self.further else own
+
+    @property
+    def families(self) -> "tuple[Search, ...]":
+        """Itself without the further searches, and each of those."""
+        return (
+            replace(self, further=()),
+            *(replace(self, hyper=hyper, further=(), family=hyper.fingerprint[:8]) for hyper in self.further),
+        )
 
     def key(self, unit: SearchUnit) -> str:
         """Content key of one attempt."""
@@ -112,7 +130,8 @@ class Search:
             "prior": self.prior_fingerprint,
             "sampler": asdict(self.prior.sampler) if isinstance(self.prior, PackagedPrior) else None,
             "hyper": asdict(self.hyper),
-            "hyper_fingerprint": self.hyper.fingerprint,
+            "hyper_fingerprint": self.hyper_fingerprint,
+            **({"further": [asdict(hyper) for hyper in self.further]} if self.further else {}),
             **({"asked": [kind.value for kind in self.asked]} if self.asked else {}),
         }
 

@@ -81,6 +81,18 @@ class VehicleChoiceRule(StrEnum):
     REFERENCE = "reference"
 
 
+class CandidateProposal(StrEnum):
+    """Source of an adversary's motion.
+
+    ``SAMPLED``: the diffusion model, refined and scored. ``RETIMED``: its recorded path with other timing.
+    ``REROUTED``: lanes that it did not take, from standing too. The latter two are of the extension ``effect``.
+    """
+
+    SAMPLED = "sampled"
+    RETIMED = "retimed"
+    REROUTED = "rerouted"
+
+
 class LaunchRule(StrEnum):
     """When an adversary takes over.
 
@@ -178,6 +190,7 @@ class HyperParameters(ThreatSettings):
         choice: Source of the rules that choose vehicles.
         launch: When an adversary takes over.
         discards: Reasons to drop a scene.
+        proposal: Where tracks come from; of the others than ``sampled`` at most ``tries`` of a vehicle are judged.
         solvable: Whether a scene that no driver could have avoided is dropped (``docs/severity.md``, "What solvable
             means"). Neither the paper nor the code asks. No track depends on it.
     """
@@ -234,6 +247,7 @@ class HyperParameters(ThreatSettings):
     choice: VehicleChoiceRule = VehicleChoiceRule.OURS
     launch: LaunchRule = LaunchRule.NEAR
     discards: DiscardRules = DiscardRules.OURS
+    proposal: CandidateProposal = CandidateProposal.SAMPLED
     solvable: bool = True
 
     @classmethod
@@ -393,7 +407,8 @@ class HyperParameters(ThreatSettings):
 _LATER_SETTINGS: Final[dict[str, Any]] = {
     "timestep_frames": 1, "varied": True, "init_least": 0.0, "score": ScoreDefinition.APPENDIX,
     "motion": ExecutionModel.DRIVER, "choice": VehicleChoiceRule.OURS,
-    "launch": LaunchRule.NEAR, "discards": DiscardRules.OURS, "manoeuvre_weight": 2.0,
+    "launch": LaunchRule.NEAR, "discards": DiscardRules.OURS, "proposal": CandidateProposal.SAMPLED,
+    "manoeuvre_weight": 2.0,
     **asdict(NEUTRAL),
 }  # fmt: skip
 """Settings that came when searches had been kept already, as searches had them then: so they are no part of the key."""

@@ -9,13 +9,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from generation.search.hyperparameters import HyperParameters, LaunchRule
+from generation.search.hyperparameters import CandidateProposal, HyperParameters, LaunchRule
 
 if TYPE_CHECKING:
     from generation.search.definition import PackagedPrior
 
-Preset = Literal["default", "near", "paper", "reference"]
-PRESETS: Final[tuple[Preset, ...]] = ("default", "near", "paper", "reference")
+Preset = Literal["default", "effect", "near", "paper", "reference"]
+PRESETS: Final[tuple[Preset, ...]] = ("default", "effect", "near", "paper", "reference")
+PROPOSED_VEHICLES, PROPOSED_TRIES = 40, 3
+"""Vehicles of a scene whose edits are looked at, and edits of one that are judged."""
 SampleSource = Literal["fresh", "reference", "stored"]
 
 
@@ -38,13 +40,43 @@ def build_default_settings() -> HyperParameters:
     )
 
 
+def build_further_settings(
+    preset: Preset, settings: Mapping[str, Any] | None = None, changes: Sequence[str] = ()
+) -> tuple[HyperParameters, ...]:
+    """Settings of the further searches of a preset, changed as the first one's: of ``effect`` nearness and edits.
+
+    Threat and nearness find different failures; edits of recorded paths and of lanes come from an extension.
+    """
+    if preset != "effect":
+        return ()
+    own: dict[str, Any] = {"behaviour": True, "careful_survives": True}
+    near = HyperParameters(
+        launch=LaunchRule.REACH, lookahead_weight=0.06, against_weight=2.0, area_weight=4.0, tries=1, **own
+    )
+    near = replace(near, **{name: value for name, value in (settings or {}).items() if value is not None})
+    proposed = [
+        HyperParameters(
+            proposal=proposal,
+            candidate_limit=PROPOSED_VEHICLES,
+            tries=PROPOSED_TRIES,
+            solvable=near.solvable,
+            **own,
+        )
+        for proposal in (CandidateProposal.RETIMED, CandidateProposal.REROUTED)
+    ]
+    # What was changed concerns the vehicles and the sampling; who proposes stays.
+    changes = [change for change in changes if change.partition("=")[0].strip() != "proposal"]
+    return tuple(hyper.changed(changes) for hyper in (near, *proposed))
+
+
 def build_hyper_parameters(
     preset: Preset = "default", settings: Mapping[str, Any] | None = None, changes: Sequence[str] = ()
 ) -> HyperParameters:
     """Settings of the search: the preset, settings by name, and changes by text, each over the last.
 
     Args:
-        preset: ``default`` is this project's best, ``near`` what it was before it threatened, ``paper`` the text,
+        preset: ``default`` is this project's best, ``effect`` the first of several searches whose scenes a panel
+            chooses (`build_further_settings`), ``near`` what it was before it threatened, ``paper`` the text,
             ``reference`` the public code (`generation.search.differences_from_paper` says where they cannot be
             followed).
         settings: Values of single settings; ``None`` leaves a setting as it is.
@@ -59,6 +91,8 @@ def build_hyper_parameters(
     match preset:
         case "default":
             start = build_default_settings()
+        case "effect":
+            start = replace(build_default_settings(), behaviour=True)
         case "near":
             start = HyperParameters()
         case "paper":
@@ -99,7 +133,7 @@ def build_trajectory_model(
     from generation.diffusion.prior import CandidateSource, SamplerSettings
     from generation.search.definition import PackagedPrior
 
-    ours = preset in ("default", "near")
+    ours = preset in ("default", "effect", "near")
     source = CandidateSource(samples or ("fresh" if ours else "reference"))
     dropout = dropout or preset == "reference"
     sampler = SamplerSettings(samples=source, conditioned=ours, mutation_steps=calls, drivable=ours, dropout=dropout)

@@ -269,6 +269,7 @@ def _build_plan(source: DataSet, split: NamedSplit, as_split: str, settings: Bui
         source=SourceInfo.of(source),
         frozen=(name, content),
         search=compute_search_hash(frozen.search, frozen.chosen, adversaries) if of_seed else None,
+        panel=frozen.chosen.panel or "",
         left_out=tuple(
             (0, StandingVerdict(rejection.name, rejection.token, REJECTED, rejection.reason))
             for rejection in split.frozen.chosen.rejected or ()

@@ -150,7 +150,7 @@ class SceneChoice(_FrozenModel):
     """Choice of the scenes: numbers tried and kept, and limits, of which null keeps all.
 
     ``surrogate`` fails every scene, if one was asked. Files without inspectors' rejections, ``variants`` that were to
-    differ or ``asked`` manoeuvres have no such fields.
+    differ, ``asked`` manoeuvres or a ``panel`` that ranked have no such fields.
 
     Attributes:
         scenes: Recorded scenes that were searched.
@@ -170,12 +170,13 @@ class SceneChoice(_FrozenModel):
     rejected: tuple[FrozenRejection, ...] | None = None
     variants: Annotated[int, Field(ge=1)] | None = None
     asked: tuple[_Name, ...] | None = None
+    panel: Annotated[str, Field(max_length=LONGEST_REASON)] | None = None
 
     @model_serializer(mode="wrap")
     def _omit_empty_fields(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Splits without the younger fields keep the bytes, and the content hash, that they had before these came."""
         values: dict[str, Any] = plain(self)
-        younger = ("rejected", "variants", "asked")
+        younger = ("rejected", "variants", "asked", "panel")
         return {name: value for name, value in values.items() if value or name not in younger}
 
 

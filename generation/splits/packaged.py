@@ -119,7 +119,7 @@ def compute_search_hash(search: SearchMetadata, chosen: SceneChoice, adversaries
     """Hash, 64 hexadecimal digits, of what decided a split, without its recordings, its seed and its outcome."""
     searched = [search.algorithm, search.hyper, search.prior, *([] if search.solvable is None else [search.solvable])]
     chose: list[Any] = [chosen.scenes, chosen.per_scene, chosen.total, chosen.surrogate, adversaries]
-    younger = {"variants": chosen.variants, "asked": chosen.asked}
+    younger = {"variants": chosen.variants, "asked": chosen.asked, "panel": chosen.panel}
     # Searches without them keep the hash of earlier versions.
     chose += [{name: value} for name, value in younger.items() if value]
     return content_key("search", searched, *chose)

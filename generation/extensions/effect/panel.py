@@ -1,0 +1,158 @@
+"""Choice of scenes by effect: how often planners of a panel would touch the adversary, and which kinds are new."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from benchmark.constants import PLAN_STEPS
+from benchmark.datasets.roots import DataSet
+from benchmark.datasets.sample_truth import compute_truth
+from benchmark.geometry import Floats
+from benchmark.interactions.driver_outcomes import CollisionChecker
+from benchmark.interactions.driver_simulation import DrivingSituation, ReferenceDriver, simulate_drivers
+from benchmark.interactions.reaction import Driver
+from benchmark.interactions.tracks import STEP_S, ContinuousTracks
+from benchmark.planning import PrivilegedPlanner, SceneInfo
+from benchmark.protocols import find_protocol
+from benchmark.protocols.raster import HIT_ADVERSARY
+from benchmark.scene import Scene
+from generation.pipeline.panel import PlannerPanel
+from generation.search.chains import AdversaryChain
+
+DISTRACTED: Final = "distracted"
+LATE_S: Final = 1.0
+"""How much later than a careful human the distracted driver answers."""
+HORIZON_S: Final = 3.0
+DIGITS: Final = 6
+ALIKE: Final = 1.0
+"""How many times its probability a scene is worth less for each kept one of its kind: p / (1 + this x kept)."""
+
+
+@dataclass(frozen=True, slots=True)
+class SceneEffect:
+    """Probability that each member of the panel touches the adversary in a sample of a scene, by name."""
+
+    name: str
+    kind: str
+    members: Mapping[str, float]
+
+    @property
+    def probability(self) -> float:
+        """Of the members together: their mean."""
+        return round(float(np.mean(list(self.members.values()))), DIGITS)
+
+
+def rank_by_effect(
+    source: DataSet, chains: Sequence[AdversaryChain], panel: PlannerPanel
+) -> tuple[list[AdversaryChain], list[AdversaryChain], dict[str, Any]]:
+    """Scenes in the order in which they should be kept, inert ones, and what is said of both.
+
+    The next one is that with the largest probability that a member of the panel touches the adversary, divided by one
+    more than the number of earlier ones of the same primary manoeuvre. In inert scenes none ever does.
+    """
+    effects = {
+        chain.name: effect
+        for scene in dict.fromkeys(chain.scene_name for chain in chains)
+        for chain, effect in _measure_recording(source, scene, chains, panel)
+    }
+    rest = sorted((chain for chain in chains if effects[chain.name].probability > 0.0), key=lambda chain: chain.name)
+    inert = [chain for chain in chains if not effects[chain.name].probability > 0.0]
+    order: list[AdversaryChain] = []
+    kinds: Counter[str] = Counter()
+    recordings: Counter[str] = Counter()
+    while rest:
+        best = max(rest, key=lambda chain: _worth(effects[chain.name], chain, kinds, recordings, panel.per_scene))
+        rest.remove(best)
+        order.append(best)
+        if recordings[best.scene_name] < panel.per_scene:
+            # Those beyond what is kept of a recording take no kind from others.
+            kinds[effects[best.name].kind] += 1
+        recordings[best.scene_name] += 1
+    said = {
+        **panel.as_json(),
+        "distracted_late_s": LATE_S,
+        "inert": len(inert),
+        "scenes": {
+            chain.name: {"probability": effects[chain.name].probability, **effects[chain.name].members}
+            for chain in order
+        },
+    }
+    return order, inert, said
+
+
+def _worth(
+    effect: SceneEffect, chain: AdversaryChain, kinds: Counter[str], recordings: Counter[str], per_scene: int
+) -> tuple[bool, float, float]:
+    value = effect.probability / (1.0 + ALIKE * kinds[effect.kind])
+    return recordings[chain.scene_name] < per_scene, value, effect.probability
+
+
+def _measure_recording(
+    source: DataSet, name: str, chains: Sequence[AdversaryChain], panel: PlannerPanel
+) -> list[tuple[AdversaryChain, SceneEffect]]:
+    """Effect of each chain of one recording; the ego drives as recorded, and so all have the same plans."""
+    scene = source.scene(name)
+    plans = {member: _plan(source, scene, member, seeds, panel) for member, seeds in panel.members}
+    return [
+        (chain, measure_effect(chain.name, chain.adversarial(scene), _find_kind(chain), plans))
+        for chain in chains
+        if chain.scene_name == name
+    ]
+
+
+def measure_effect(name: str, scene: Scene, kind: str, plans: Mapping[str, Sequence[Floats]]) -> SceneEffect:
+    """Effect of an adversarial scene: (K, 6, 2) plans of each seed of each member, lidar frame, NaN for no plan.
+
+    A member touches the adversary in a sample if the first contact of its plan under ``exact`` is with it; the
+    distracted driver in those whose 3 s hold its contact.
+    """
+    truths, exact = compute_truth(scene, [""] * len(scene.keyframes)), find_protocol("exact")
+    members = {}
+    for member, seeds in plans.items():
+        hits, counted = 0, 0
+        for waypoints in seeds:
+            known = np.flatnonzero(np.isfinite(waypoints).all(axis=(1, 2)))
+            outcomes = exact.evaluate([truths[index] for index in known.tolist()], waypoints[known])
+            hit = np.array([value is True for value in outcomes.facts[HIT_ADVERSARY]])
+            hits, counted = hits + int((hit & outcomes.counted).sum()), counted + int(outcomes.counted.sum())
+        members[member] = round(hits / max(counted, 1), DIGITS)
+    members[DISTRACTED] = round(_measure_distracted(scene), DIGITS)
+    return SceneEffect(name, kind, members)
+
+
+def _measure_distracted(scene: Scene) -> float:
+    """Share of the samples in whose next 3 s the distracted driver touches an adversary."""
+    situation = DrivingSituation.of(ContinuousTracks.of_scene(scene))
+    late = ReferenceDriver(Driver.CC, late_steps=round(LATE_S / STEP_S))
+    (motion,) = simulate_drivers(situation, [late])
+    contact = CollisionChecker.of(situation).find_outcome(motion).contact
+    if contact is None or scene.agents.ids[contact.agent] not in scene.adversaries:
+        return 0.0
+    at = scene.seconds[scene.keyframes]
+    return float(((at < contact.time) & (contact.time <= at + HORIZON_S)).sum() / max(len(at) - PLAN_STEPS, 1))
+
+
+def _plan(source: DataSet, scene: Scene, member: str, seeds: int, panel: PlannerPanel) -> list[Floats]:
+    """(K, 6, 2) plans of each seed of a member in a recorded scene, lidar frame; NaN where it has none."""
+    truths, observations = source.truth(scene.name), list(source.observations(scene.name))
+    planned = []
+    for seed in range(seeds):
+        planner = panel.make(member, seed=seed)
+        planner.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))
+        if isinstance(planner, PrivilegedPlanner):
+            planner.reveal(scene)
+        planned.append(
+            np.array([
+                planner.plan(seen).judged.waypoints_in_lidar(truth.lidar_ahead_m)
+                for seen, truth in zip(observations, truths, strict=True)
+            ])
+        )  # fmt: skip
+    return planned
+
+
+def _find_kind(chain: AdversaryChain) -> str:
+    labels = chain.links[-1].attempt.labels
+    return "none" if labels is None else labels.manoeuvre

@@ -1,0 +1,87 @@
+"""How much a track presses the ego: the share of an ego's inexact plans that would touch it."""
+
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+
+from benchmark.constants import PLAN_STEP_S
+from benchmark.geometry import Bools, Floats, boxes_overlap
+from benchmark.scene import Scene
+from generation.search.recorded_ego_path import get_ego_path
+
+INSTANTS: Final = 3 * np.arange(1, 13)
+"""Frames after a key frame, every quarter of a second of a plan."""
+HORIZON_S: Final = 3.0
+OFF_ALONG_M: Final = 1.6
+OFF_ACROSS_M: Final = 0.7
+"""Of a plan after 3 s: one and a half standard deviations of what accurate planners are off."""
+LEAST_SPEED_M_S: Final = 1.0
+NEAR_M: Final = 8.0
+"""A track whose centre never comes so near a moving ego's presses nobody."""
+
+
+@dataclass(frozen=True, slots=True)
+class EgoPlans:
+    """Plans of an ego: (K, P, I, 5) boxes of P plans from each of K key frames at (K, I) frames.
+
+    One keeps its speed along its path; the others drive as recorded, but ahead, behind, to the left and to the right of
+    it by an error that grows with time. ``moving`` (K,) are the key frames that count.
+    """
+
+    boxes: Floats
+    frames: Floats
+    counts: Bools
+    ego: Floats
+    moving: Bools
+
+    @classmethod
+    def of(cls, scene: Scene) -> Self:
+        """Those of a recorded ego."""
+        way = get_ego_path(scene)
+        last = len(way.station) - 1
+        start = scene.keyframes[:, None]
+        at = start + INSTANTS
+        counts = (at <= last) & (way.speed[start] >= LEAST_SPEED_M_S)
+        frames = np.minimum(at, last)
+        seconds = INSTANTS * PLAN_STEP_S / 6
+        grown = (seconds / HORIZON_S) ** 1.5 * np.minimum(1.0, 0.2 + way.speed[start] / 6.0)
+        recorded = way.station[frames]
+        stations = np.stack(
+            [
+                way.station[start] + way.speed[start] * seconds,
+                recorded + OFF_ALONG_M * grown,
+                recorded - OFF_ALONG_M * grown,
+                recorded,
+                recorded,
+            ],
+            axis=1,
+        )
+        aside = OFF_ACROSS_M * np.stack([0 * grown, 0 * grown, 0 * grown, grown, -grown], axis=1)
+        points = np.stack([np.interp(stations, way.stations, way.points[:, axis]) for axis in range(2)], axis=-1)
+        yaw = np.interp(stations, way.stations, np.unwrap(way.headings))
+        points += aside[..., None] * np.stack([-np.sin(yaw), np.cos(yaw)], axis=-1)
+        size = np.broadcast_to([way.length_m, way.width_m], points.shape)
+        boxes = np.concatenate([points, size, yaw[..., None]], axis=-1)
+        return cls(boxes, frames, counts, scene.ego.boxes, way.speed >= LEAST_SPEED_M_S)
+
+    def are_near(self, poses: Floats, start: int) -> Bools:
+        """(B,) whether (B, F, 3) tracks from a frame on come near the ego while it moves."""
+        away = poses[..., :2] - self.ego[start:, :2]
+        near = (away[..., 0] ** 2 + away[..., 1] ** 2 <= NEAR_M**2) & self.moving[start:]
+        return np.asarray(near.any(axis=1))
+
+    def measure_pressure(self, boxes: Floats, start: int) -> Floats:
+        """(B,) share of all plans that would touch (B, F, 5) tracks, which begin at a frame; 0 to 1."""
+        counts = self.counts & (self.frames >= start)
+        sample, instant = np.nonzero(counts)
+        at = self.frames[sample, instant] - start
+        touched = np.zeros((len(boxes), *self.boxes.shape[:2]), np.bool_)
+        plans = self.boxes[sample, :, instant]
+        size = 0.5 * (np.hypot(*plans[0, 0, 2:4]) + np.hypot(*boxes[0, 0, 2:4])) if len(sample) else 0.0
+        for plan in range(self.boxes.shape[1]):
+            away = boxes[:, at, :2] - plans[:, plan, :2]
+            row, column = np.nonzero(away[..., 0] ** 2 + away[..., 1] ** 2 <= size**2)
+            hit = boxes_overlap(boxes[row, at[column]], plans[column, plan])
+            touched[row[hit], sample[column[hit]], plan] = True
+        return np.asarray(touched.mean(axis=(1, 2)))

@@ -1,0 +1,376 @@
+"""Recorded and lane paths with other timing: candidates beside those of the diffusion model (``docs/generation.md``).
+
+Each edit follows the recording up to a frame and then drives a path as a speed law says. Edits are looked at as points
+on their path first; those that would press the ego are driven by the simulator, so that they are motions of a car.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import shapely
+
+from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME
+from benchmark.dynamics.bicycle import (
+    REAR_AXLE_BEHIND_CENTER,
+    WHEELBASE,
+    MotionModel,
+    follow_path,
+)
+from benchmark.dynamics.reference_path import WAYPOINTS, build_reference_path
+from benchmark.geometry import Bools, Floats, box_corners, boxes_overlap, to_local
+from benchmark.interactions.driver_outcomes import CollisionChecker
+from benchmark.interactions.driver_simulation import DrivingSituation, ReferenceDriver, simulate_drivers
+from benchmark.interactions.reaction import Driver
+from benchmark.interactions.tracks import ContinuousTracks
+from benchmark.machine.identity_cache import IdentityCache
+from benchmark.scene import Scene
+from generation.extensions.effect.paths import SPACING_M, LaneGraph, VehiclePath, list_lane_paths, list_recorded_paths
+from generation.extensions.effect.pressure import EgoPlans
+from generation.search.hyperparameters import CandidateProposal, HyperParameters
+from generation.search.recorded_ego_path import get_ego_path
+from generation.search.recorded_motion import compute_initial_state, is_driving_forward
+
+BRAKING_M_S2: Final = (1.0, 2.0, 3.0, 4.0)
+BRAKED_TO: Final = (0.0, 0.5)
+HELD_S: Final = (1.0, 3.0, 9.0)
+RECOVERY_M_S2: Final = 1.0
+"""An edit that brakes: how hard, to which share of its speed, how long it stays there, and how it comes back."""
+ACCELERATION_M_S2: Final = (0.5, 1.0, 1.5, 2.0)
+FASTER: Final = (1.0, 1.2)
+"""An edit that goes early: how hard, and up to which multiple of its own highest speed."""
+LANE_SPEEDS_M_S: Final = (3.0, 6.0, 9.0)
+"""Speeds at which a vehicle drives a path that it did not drive."""
+NOSE_M_S, NOSE_HELD_S = 2.5, (0.0, 0.5, 1.0, 1.5, 2.5)
+"""An edit that edges out and waits: how fast, and how long before it stops."""
+ACROSS_M_S2: Final = 2.5
+"""Bends are taken at this."""
+SLOWING_M_S2: Final = 2.0
+"""For bends ahead."""
+EVERY_S: Final = 1.0
+"""Between the frames from which edits start; twice that where paths are not recorded."""
+AIR_M: Final = 0.25
+LEVELS: Final = (0.05, 0.015)
+"""Shares of the ego's plans that an edit should touch: edits above the first level come before those above the next."""
+MOST_ALIKE: Final = 3
+"""Edits of one path from one frame that are looked at further."""
+MOST_PLACED, MOST_DRIVEN = 100, 16
+"""Edits of a vehicle that are looked at for contacts, and of them those that the simulator drives."""
+AHEAD_S: Final = 8.0
+OVER_M: Final = 10.0
+MEETING_M: Final = 3.0
+"""A path meets the ego's where it comes so near to where the ego is in the next 8 s, or a little farther on."""
+LEAST_MOVED_M: Final = 0.5
+NEAR_M: Final = 25.0
+BISECTIONS: Final = 7
+"""Halves 4 m/s^2 to 0.03."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedLaw:
+    """Speed of an edit: ``change`` m/s^2 to ``target`` m/s, ``held_s`` there, then +1 m/s^2 to ``then`` m/s."""
+
+    change: float
+    target: float
+    held_s: float
+    then: float
+
+
+@dataclass(frozen=True, slots=True)
+class Edit:
+    """A path and a speed law from a ``start`` frame on; ``pressure`` and ``moved_m`` as found on its track."""
+
+    path: VehiclePath
+    start: int
+    law: SpeedLaw
+    pressure: float = 0.0
+    moved_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class RetimedTrack:
+    """(F, 3) poses of the box centre of an edit that was driven, from its ``start`` frame to the end of the scene."""
+
+    edit: Edit
+    poses: Floats
+
+    @property
+    def start(self) -> int:
+        """Frame of the launch."""
+        return self.edit.start
+
+
+def _rank_edit(edit: Edit) -> tuple[int, float, int]:
+    """Strong edits first, each level by how little it moves."""
+    return sum(edit.pressure < level for level in LEVELS), edit.moved_m, edit.start
+
+
+class Retiming:
+    """Edits of one vehicle of a scene that press the ego and touch nobody, the smallest of the strongest first."""
+
+    def __init__(self, scene: Scene, agent: int, hyper: HyperParameters) -> None:
+        self.scene, self.agent, self.hyper = scene, agent, hyper
+        shapely.prepare(scene.road_map.drivable_area)
+        self._tracks = ContinuousTracks.of_scene(scene)
+        self._pull_outs: list[VehiclePath] | None = None
+        self._last = len(scene.timestamps_us) - 1
+        self._size = scene.agents.size[agent, :2].astype(np.float64)
+        self._plans = EgoPlans.of(scene)
+        valid = scene.agents.valid[agent]
+        centers = scene.agents.position[agent, valid, :2]
+        step = np.hypot(*np.diff(centers, axis=0).T) * FRAME_HZ
+        self._fastest = float(np.convolve(step, np.full(6, 1 / 6), mode="valid").max()) if len(step) >= 6 else 0.0
+        self.parked = bool(np.ptp(centers, axis=0).max(initial=0.0) < hyper.least_motion_m)
+
+    def find_tracks(self) -> Iterator[RetimedTrack]:
+        """Driven edits in the order in which they should be judged."""
+        driven = 0
+        for edit in self._find_edits()[:MOST_PLACED]:
+            if not self._is_clear(self._place(edit.path, edit.start, [edit.law]), edit.start)[0]:
+                continue
+            driven += 1
+            track = self._drive(edit)
+            if track is not None and self._is_answered(track):
+                yield self._shrink(track)
+            if driven >= MOST_DRIVEN:
+                return
+
+    def _find_edits(self) -> list[Edit]:
+        """Edits that press the ego as points on their path: strong ones first, each level by how little it moves."""
+        found: list[Edit] = []
+        for start in self._list_starts():
+            for path in self._list_paths(start):
+                laws = self._list_laws(path, start)
+                if not laws:
+                    continue
+                poses = self._place(path, start, laws)
+                found += self._select(path, start, laws, poses)
+        return sorted(found, key=_rank_edit)
+
+    def _select(self, path: VehiclePath, start: int, laws: Sequence[SpeedLaw], poses: Floats) -> list[Edit]:
+        near = self._plans.are_near(poses, start)
+        moved = self._measure_moved(poses, start)
+        rows = np.flatnonzero(near & (moved >= LEAST_MOVED_M))
+        if not len(rows):
+            return []
+        pressure = np.zeros(len(poses))
+        pressure[rows] = self._plans.measure_pressure(self._box(poses[rows]), start)
+        rows = rows[pressure[rows] >= LEVELS[-1]]
+        # The ego alone first: many edits that press it hit it, and the others are many.
+        rows = rows[self._is_clear(poses[rows], start, ego_alone=True)] if len(rows) else rows
+        edits = [Edit(path, start, laws[row], float(pressure[row]), float(moved[row])) for row in rows.tolist()]
+        return sorted(edits, key=_rank_edit)[:MOST_ALIKE]
+
+    def _list_starts(self) -> list[int]:
+        """Frames from which it may leave its recording: it has been there, drives forwards, and time is left."""
+        valid, hyper = self.scene.agents.valid[self.agent], self.hyper
+        step = round(EVERY_S * FRAME_HZ) * (1 if self.parked or hyper.proposal is CandidateProposal.RETIMED else 2)
+        frames = range(hyper.history_frames, self._last - hyper.shortest_drive_frames, step)
+        return [
+            frame
+            for frame in frames
+            if valid[frame - hyper.history_frames : frame + 1].all()
+            and is_driving_forward(self.scene, self.agent, frame)
+        ]
+
+    def _list_paths(self, start: int) -> list[VehiclePath]:
+        graph, retimed = _get_graph(self.scene), self.hyper.proposal is CandidateProposal.RETIMED
+        if self.parked:
+            # It stands where it stands: the same paths at every frame.
+            if self._pull_outs is None:
+                paths = list_lane_paths(self.scene, self.agent, start, graph)
+                self._pull_outs = [] if retimed else [path for path in paths if self._is_on_road(path)]
+            found = self._pull_outs
+        else:
+            list_paths = list_recorded_paths if retimed else list_lane_paths
+            found = list(list_paths(self.scene, self.agent, start, graph))
+        met = [path for path in found if self._meets_ego(path, start)]
+        return met if retimed or self.parked else [path for path in met if self._is_on_road(path)]
+
+    def _meets_ego(self, path: VehiclePath, start: int) -> bool:
+        """Whether a path comes to where the ego drives in the next 8 s."""
+        way, until = get_ego_path(self.scene), min(start + round(AHEAD_S * FRAME_HZ), self._last)
+        low, high = np.searchsorted(way.stations, [way.station[start], way.station[until] + OVER_M])
+        there = way.points[low:high:4]
+        if not len(there):
+            return False
+        away = path.points[::4, None] - there
+        return bool(((away**2).sum(axis=-1) <= MEETING_M**2).any())
+
+    def _is_on_road(self, path: VehiclePath) -> bool:
+        """Whether a path that is not recorded stays on the road, once it is there."""
+        on = self.scene.road_map.is_drivable(path.points[::4])
+        return bool(on[int(np.argmax(on)) :].mean() > 0.97) if on.any() else False
+
+    def _list_laws(self, path: VehiclePath, start: int) -> list[SpeedLaw]:
+        speed = compute_initial_state(self.scene, self.agent, start, None).speed
+        laws = []
+        if path.kind == "recorded":
+            own = max(self._fastest, speed)
+            laws += [SpeedLaw(a, times * own, np.inf, 0.0) for a in ACCELERATION_M_S2 for times in FASTER]
+        else:
+            laws += [
+                SpeedLaw(a, max(of, speed), np.inf, 0.0) for a in ACCELERATION_M_S2[1::2] for of in LANE_SPEEDS_M_S
+            ]
+        if path.kind != "recorded" and speed < 2.0:
+            laws += [SpeedLaw(a, NOSE_M_S, held, 0.0) for a in ACCELERATION_M_S2[1::2] for held in NOSE_HELD_S]
+        if speed >= 2.0:
+            laws += [
+                SpeedLaw(-b, share * speed, held, speed) for b in BRAKING_M_S2 for share in BRAKED_TO for held in HELD_S
+            ]
+        return laws
+
+    def _place(self, path: VehiclePath, start: int, laws: Sequence[SpeedLaw]) -> Floats:
+        """(B, F, 3) poses of the box centre of points that keep to a path, from the start frame on."""
+        station = self._compute_stations(path, start, laws)
+        poses = path.at(station)
+        ahead = REAR_AXLE_BEHIND_CENTER * self._size[0]
+        poses[..., 0] += ahead * np.cos(poses[..., 2])
+        poses[..., 1] += ahead * np.sin(poses[..., 2])
+        return np.asarray(poses)
+
+    def _compute_stations(self, path: VehiclePath, start: int, laws: Sequence[SpeedLaw]) -> Floats:
+        """(B, F) metres along a path by each law, slower where the path bends."""
+        change, target, held, then = (
+            np.array([getattr(law, name) for law in laws]) for name in ("change", "target", "held_s", "then")
+        )
+        bends = _compute_bend_speed(path)
+        speed = np.full(len(laws), compute_initial_state(self.scene, self.agent, start, None).speed)
+        reached = np.full(len(laws), np.inf)
+        station = np.zeros((len(laws), self._last - start + 1))
+        step = 1.0 / FRAME_HZ
+        for frame in range(1, station.shape[1]):
+            now = frame * step
+            back = now > reached + held
+            wanted = np.where(back, then, target)
+            most = np.where(back, RECOVERY_M_S2, np.abs(change)) * step
+            after = speed + np.clip(wanted - speed, -most, most)
+            reached = np.where(np.isinf(reached) & (after == target), now, reached)
+            bend = np.interp(station[:, frame - 1], SPACING_M * np.arange(len(bends)), bends)
+            after = np.where(after > bend, np.maximum(bend, speed - SLOWING_M_S2 * step), after)
+            after = np.minimum(after, np.maximum(speed + 2.0 * step, 0.0))
+            speed = np.maximum(after, 0.0)
+            station[:, frame] = station[:, frame - 1] + speed * step
+        return station
+
+    def _measure_moved(self, poses: Floats, start: int) -> Floats:
+        """(B,) mean distance from the recording, metres, where both are there (ADE)."""
+        there = self.scene.agents.valid[self.agent, start:]
+        recorded = self.scene.agents.position[self.agent, start:][there, :2]
+        return np.asarray(np.linalg.norm(poses[:, there, :2] - recorded, axis=-1).mean(axis=1))
+
+    def _box(self, poses: Floats) -> Floats:
+        size = np.broadcast_to(self._size, (*poses.shape[:-1], 2))
+        return np.concatenate([poses[..., :2], size, poses[..., 2:]], axis=-1)
+
+    def _is_clear(self, poses: Floats, start: int, *, ego_alone: bool = False) -> Bools:
+        """(B,) whether tracks stay in the area and clear of all others and of the ego."""
+        boxes = self._box(poses)
+        boxes[..., 2:4] += 2 * AIR_M
+        ego = self.scene.ego.pose[start:]
+        local = np.stack([to_local(track[:, :2], ego) for track in poses])
+        clear = (np.abs(local) <= self.hyper.half_extent_m).all(axis=(1, 2))
+        others = np.concatenate([self._tracks.agents[:, start:], self._tracks.ego[None, start:]])
+        there = np.concatenate([self._tracks.valid[:, start:], np.ones((1, self._last - start + 1), np.bool_)])
+        there[self.agent] = False
+        reach = 0.5 * (np.hypot(others[:, 0, 2], others[:, 0, 3]) + np.hypot(*boxes[0, 0, 2:4]))
+        for other in [len(others) - 1] if ego_alone else np.flatnonzero(there.any(axis=1)).tolist():
+            away = boxes[..., :2] - others[other, :, :2]
+            row, frame = np.nonzero((away[..., 0] ** 2 + away[..., 1] ** 2 <= reach[other] ** 2) & there[other])
+            hit = boxes_overlap(boxes[row, frame], others[other, frame])
+            clear[row[hit]] = False
+        return np.asarray(clear)
+
+    def _drive(self, edit: Edit) -> RetimedTrack | None:
+        """The edit as a car drives it; ``None`` where that is not clear, off the road, or presses nobody."""
+        poses = self._simulate(edit)
+        if not np.isfinite(poses).all() or not self._is_clear(poses[None], edit.start)[0]:
+            return None
+        if not self._plans.measure_pressure(self._box(poses[None]), edit.start)[0] >= LEVELS[-1]:
+            return None
+        off = ~self.scene.road_map.is_drivable(box_corners(self._box(poses))).all(axis=-1)
+        if off.mean() > self.hyper.most_corner_off_road_share:
+            return None
+        return RetimedTrack(edit, poses)
+
+    def _simulate(self, edit: Edit) -> Floats:
+        """(F, 3) poses of the box centre: tracker and bicycle, told anew where to be every second."""
+        model, length = MotionModel.si(), float(self._size[0])
+        state = compute_initial_state(self.scene, self.agent, edit.start, model.limits)
+        pose, motion = state.pose, np.array([[state.speed], [state.acceleration], [state.steering]])
+        station = self._compute_stations(edit.path, edit.start, [edit.law])[0]
+        frames = len(station)
+        ahead = FRAMES_PER_KEYFRAME * np.arange(1, WAYPOINTS + 1)
+        final_speed = (station[-1] - station[-2]) if frames > 1 else 0.0
+        axle = [pose[None]]
+        for first in range(0, frames - 1, FRAME_HZ):
+            at = first + ahead
+            wanted = np.interp(at, np.arange(frames), station) + np.maximum(at - frames + 1, 0) * final_speed
+            local = to_local(edit.path.at(wanted)[:, :2], pose)
+            path = build_reference_path(
+                local[None], dt=model.dt, frames_per_waypoint=model.frames_per_waypoint, smooth=model.smooth
+            )
+            steps = min(FRAME_HZ, frames - 1 - first)
+            driven = follow_path(path, motion, wheelbase_m=WHEELBASE * length, steps=steps, model=model).states[..., 0]
+            cos, sin = np.cos(pose[2]), np.sin(pose[2])
+            x = pose[0] + cos * driven[1:, 0] - sin * driven[1:, 1]
+            y = pose[1] + sin * driven[1:, 0] + cos * driven[1:, 1]
+            axle.append(np.column_stack([x, y, pose[2] + driven[1:, 2]]))
+            pose, motion = axle[-1][-1], driven[-1, 3:, None]
+        track = np.concatenate(axle)
+        back = REAR_AXLE_BEHIND_CENTER * length
+        center = track[:, :2] + back * np.stack([np.cos(track[:, 2]), np.sin(track[:, 2])], axis=1)
+        return np.column_stack([center, track[:, 2]])
+
+    def _shrink(self, track: RetimedTrack) -> RetimedTrack:
+        """The same edit as weak as it can be without a lower level of pressure: bisection of its acceleration."""
+        edit = track.edit
+        level = next((level for level in LEVELS if edit.pressure >= level), LEVELS[-1])
+        low, high, weakest = 0.0, abs(edit.law.change), track
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            weaker = SpeedLaw(np.copysign(middle, edit.law.change), edit.law.target, edit.law.held_s, edit.law.then)
+            poses = self._place(edit.path, edit.start, [weaker])
+            chosen = [
+                found for found in self._select(edit.path, edit.start, [weaker], poses) if found.pressure >= level
+            ]
+            driven = self._drive(chosen[0]) if chosen else None
+            if driven is not None:
+                weakest, high = driven, middle
+            else:
+                low = middle
+        return weakest if weakest is not track and self._is_answered(weakest) else track
+
+    def _is_answered(self, track: RetimedTrack) -> bool:
+        """Whether a careful human survives it, among those near."""
+        frames = slice(track.start, self._last + 1)
+        boxes, valid = self._tracks.agents.copy(), self._tracks.valid.copy()
+        boxes[self.agent, frames] = self._box(track.poses)
+        valid[self.agent, frames] = True
+        away = np.hypot(*np.moveaxis(boxes[..., :2] - self._tracks.ego[:, :2], -1, 0))
+        near = (np.where(valid, away, np.inf) <= NEAR_M).any(axis=1)
+        tracks = ContinuousTracks(self._tracks.seconds, self._tracks.ego, boxes, valid, self._tracks.categories)
+        situation = DrivingSituation.of(tracks.only(near))
+        (motion,) = simulate_drivers(situation, [ReferenceDriver(Driver.CC)])
+        return CollisionChecker.of(situation).find_outcome(motion).survives
+
+
+_get_graph: Final = IdentityCache[Scene, LaneGraph](lambda scene: LaneGraph(scene.road_map), kept=2)
+
+
+def _compute_bend_speed(path: VehiclePath) -> Floats:
+    """(V,) m/s at which a path can be driven, slowed down for bends ahead."""
+    speed = np.sqrt(ACROSS_M_S2 / np.maximum(np.abs(path.curvature), 1e-3))
+    for index in range(len(speed) - 2, -1, -1):
+        speed[index] = min(speed[index], np.sqrt(speed[index + 1] ** 2 + 2 * SLOWING_M_S2 * SPACING_M))
+    return np.asarray(speed)
+
+
+def iterate_retimings(scene: Scene, agent: int, hyper: HyperParameters) -> Iterator[tuple[int, Floats]]:
+    """Frame of the launch and (F, 3) poses of the box centre, to the end of the scene, of edits of one vehicle.
+
+    With ``proposal=retimed`` on its recorded path, with ``rerouted`` on lanes that it did not take.
+    """
+    for track in Retiming(scene, agent, hyper).find_tracks():
+        yield track.start, track.poses
