@@ -116,7 +116,7 @@ def _find_off_road(boxes: Floats, road_map: RoadMap) -> Bools:
 
 
 def find_lane_turns(boxes: Floats, road_map: RoadMap) -> tuple[Floats, Floats]:
-    """(F,) smallest and (F,) largest angle between the heading and the lanes below the centre, [0, pi]; NaN for none."""
+    """(F,) smallest and (F,) largest angle between the heading and lanes below the centre, [0, pi]; NaN for none."""
     turns: Floats = np.full((2, len(boxes)), np.nan)
     for lane in road_map.lanes.values():
         if lane.polygon is None:

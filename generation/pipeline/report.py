@@ -45,8 +45,8 @@ class BuildReport:
         requests: By kind of manoeuvre, if any was asked for: of how many vehicles (``asked``), how many of them drive
             in a direction in which they can do it (``tried``), attempts that passed verification and do it (``kept``),
             and how many are ``written``.
-        panel: Members of the panel that ranked the scenes, with their seeds, and what it found; no part of the JSON where
-            there was none.
+        panel: Members of the panel that ranked the scenes, the numbers of their seeds, and what it found; no part of
+            the JSON where there was none.
         runtime: How long the work took, on this or an earlier run; no part of the JSON, which is the same every time.
         unlabelled: Recorded scenes that were skipped because they have no annotations; no part of the JSON where there
             are none.

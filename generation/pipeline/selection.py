@@ -102,7 +102,8 @@ def find_rejected_jobs(
 class SceneSelection:
     """Scenes that are written, best first; ``left_out`` were rejected and have the numbers of their variants.
 
-    ``panel`` says who ranked them, and by what. ``staging`` is the data set that the surrogate was judged on, ``staged`` has its content keys by name of the scene.
+    ``panel`` says who ranked them, and by what. ``staging`` is the data set that the surrogate was judged on,
+    ``staged`` has its content keys by name of the scene.
     """
 
     chains: list[AdversaryChain]

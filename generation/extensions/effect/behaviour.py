@@ -239,7 +239,7 @@ def _find_circling(driven: DrivenStretch) -> VerificationFailure | None:
 
 
 def _find_off_road(driven: DrivenStretch) -> VerificationFailure | None:
-    """Its centre off the road after having been on it; who comes from a driveway has not been, and car parks are no fault."""
+    """Its centre off the road after having been on it, as who comes from a driveway has not; car parks are no fault."""
     centers = shapely.points(driven.boxes[:, :2])
     area = driven.scene.road_map.drivable_area
     shapely.prepare(area)

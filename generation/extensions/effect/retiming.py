@@ -5,7 +5,7 @@ on their path first; those that would press the ego are driven by the simulator,
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -13,6 +13,7 @@ import shapely
 
 from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME
 from benchmark.dynamics.bicycle import (
+    ACCELERATION_LAG_S,
     REAR_AXLE_BEHIND_CENTER,
     WHEELBASE,
     MotionModel,
@@ -32,30 +33,34 @@ from generation.search.hyperparameters import CandidateProposal, HyperParameters
 from generation.search.recorded_ego_path import get_ego_path
 from generation.search.recorded_motion import compute_initial_state, is_driving_forward
 
-BRAKING_M_S2: Final = (1.0, 2.0, 3.0, 4.0)
-BRAKED_TO: Final = (0.0, 0.5)
-HELD_S: Final = (1.0, 3.0, 9.0)
+BRAKING_M_S2: Final = tuple(np.arange(0.5, 4.01, 0.5).tolist())
+BRAKED_TO: Final = (0.0, 0.3, 0.5, 0.7, 0.85)
+HELD_S: Final = (0.5, 1.5, 3.0, 5.0, 9.0)
 RECOVERY_M_S2: Final = 1.0
 """An edit that brakes: how hard, to which share of its speed, how long it stays there, and how it comes back."""
-ACCELERATION_M_S2: Final = (0.5, 1.0, 1.5, 2.0)
-FASTER: Final = (1.0, 1.2)
+ACCELERATION_M_S2: Final = (0.4, 0.8, 1.2, 1.6, 2.0)
+FASTER: Final = (1.0, 1.1, 1.2)
 """An edit that goes early: how hard, and up to which multiple of its own highest speed."""
-LANE_SPEEDS_M_S: Final = (3.0, 6.0, 9.0)
+LANE_SPEEDS_M_S: Final = (3.0, 4.5, 6.0, 7.5, 9.0, 11.0)
 """Speeds at which a vehicle drives a path that it did not drive."""
-NOSE_M_S, NOSE_HELD_S = 2.5, (0.0, 0.5, 1.0, 1.5, 2.5)
+NOSE_M_S, NOSE_HELD_S = 2.5, tuple(np.arange(0.0, 3.01, 0.25).tolist())
 """An edit that edges out and waits: how fast, and how long before it stops."""
 ACROSS_M_S2: Final = 2.5
 """Bends are taken at this."""
 SLOWING_M_S2: Final = 2.0
 """For bends ahead."""
+SETTLING_S, REACHED_M_S = 0.4, 0.3
+"""How softly a speed is reached, and when it is."""
+LAG_SHARE: Final = 1.0 / (1.0 + FRAME_HZ * ACCELERATION_LAG_S)
+"""Accelerations build up as those of the simulator do, so that it keeps to the law."""
 EVERY_S: Final = 1.0
 """Between the frames from which edits start; twice that where paths are not recorded."""
 AIR_M: Final = 0.25
 LEVELS: Final = (0.05, 0.015)
 """Shares of the ego's plans that an edit should touch: edits above the first level come before those above the next."""
-MOST_ALIKE: Final = 3
+MOST_ALIKE: Final = 2
 """Edits of one path from one frame that are looked at further."""
-MOST_PLACED, MOST_DRIVEN = 100, 16
+MOST_PLACED, MOST_DRIVEN = 60, 8
 """Edits of a vehicle that are looked at for contacts, and of them those that the simulator drives."""
 AHEAD_S: Final = 8.0
 OVER_M: Final = 10.0
@@ -63,8 +68,10 @@ MEETING_M: Final = 3.0
 """A path meets the ego's where it comes so near to where the ego is in the next 8 s, or a little farther on."""
 LEAST_MOVED_M: Final = 0.5
 NEAR_M: Final = 25.0
-BISECTIONS: Final = 7
-"""Halves 4 m/s^2 to 0.03."""
+STRENGTHS: Final = (0.5, 0.8, 1.1, 1.5)
+"""Of an edit, times what was found on its path; a car is not exactly where a point would be."""
+BISECTIONS: Final = 6
+"""Of the interval between two of them: to less than a hundredth."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,9 +137,9 @@ class Retiming:
             if not self._is_clear(self._place(edit.path, edit.start, [edit.law]), edit.start)[0]:
                 continue
             driven += 1
-            track = self._drive(edit)
+            track = self._find_weakest(edit)
             if track is not None and self._is_answered(track):
-                yield self._shrink(track)
+                yield track
             if driven >= MOST_DRIVEN:
                 return
 
@@ -211,10 +218,10 @@ class Retiming:
             laws += [SpeedLaw(a, times * own, np.inf, 0.0) for a in ACCELERATION_M_S2 for times in FASTER]
         else:
             laws += [
-                SpeedLaw(a, max(of, speed), np.inf, 0.0) for a in ACCELERATION_M_S2[1::2] for of in LANE_SPEEDS_M_S
+                SpeedLaw(a, max(of, speed), np.inf, 0.0) for a in ACCELERATION_M_S2[::2] for of in LANE_SPEEDS_M_S
             ]
         if path.kind != "recorded" and speed < 2.0:
-            laws += [SpeedLaw(a, NOSE_M_S, held, 0.0) for a in ACCELERATION_M_S2[1::2] for held in NOSE_HELD_S]
+            laws += [SpeedLaw(a, NOSE_M_S, held, 0.0) for a in ACCELERATION_M_S2[::2] for held in NOSE_HELD_S]
         if speed >= 2.0:
             laws += [
                 SpeedLaw(-b, share * speed, held, speed) for b in BRAKING_M_S2 for share in BRAKED_TO for held in HELD_S
@@ -237,20 +244,20 @@ class Retiming:
         )
         bends = _compute_bend_speed(path)
         speed = np.full(len(laws), compute_initial_state(self.scene, self.agent, start, None).speed)
-        reached = np.full(len(laws), np.inf)
+        acceleration, reached = np.zeros(len(laws)), np.full(len(laws), np.inf)
         station = np.zeros((len(laws), self._last - start + 1))
         step = 1.0 / FRAME_HZ
         for frame in range(1, station.shape[1]):
             now = frame * step
             back = now > reached + held
             wanted = np.where(back, then, target)
-            most = np.where(back, RECOVERY_M_S2, np.abs(change)) * step
-            after = speed + np.clip(wanted - speed, -most, most)
-            reached = np.where(np.isinf(reached) & (after == target), now, reached)
+            most = np.where(back, RECOVERY_M_S2, np.abs(change))
+            reached = np.where(np.isinf(reached) & (np.abs(speed - target) <= REACHED_M_S), now, reached)
             bend = np.interp(station[:, frame - 1], SPACING_M * np.arange(len(bends)), bends)
-            after = np.where(after > bend, np.maximum(bend, speed - SLOWING_M_S2 * step), after)
-            after = np.minimum(after, np.maximum(speed + 2.0 * step, 0.0))
-            speed = np.maximum(after, 0.0)
+            most = np.where(bend < np.minimum(wanted, speed), SLOWING_M_S2, most)
+            asked = np.clip((np.minimum(wanted, bend) - speed) / SETTLING_S, -most, most)
+            acceleration = acceleration + LAG_SHARE * (asked - acceleration)
+            speed = np.maximum(speed + acceleration * step, 0.0)
             station[:, frame] = station[:, frame - 1] + speed * step
         return station
 
@@ -282,17 +289,62 @@ class Retiming:
             clear[row[hit]] = False
         return np.asarray(clear)
 
-    def _drive(self, edit: Edit) -> RetimedTrack | None:
-        """The edit as a car drives it; ``None`` where that is not clear, off the road, or presses nobody."""
+    def _drive(self, edit: Edit, strength: float) -> RetimedTrack | None:
+        """The edit, that many times as strong, as a car drives it; ``None`` where it is not clear or off the road."""
+        edit = replace(edit, law=self._scale(edit, strength))
         poses = self._simulate(edit)
         if not np.isfinite(poses).all() or not self._is_clear(poses[None], edit.start)[0]:
             return None
-        if not self._plans.measure_pressure(self._box(poses[None]), edit.start)[0] >= LEVELS[-1]:
-            return None
+        pressure = self._plans.measure_pressure(self._box(poses[None]), edit.start)[0]
         off = ~self.scene.road_map.is_drivable(box_corners(self._box(poses))).all(axis=-1)
         if off.mean() > self.hyper.most_corner_off_road_share:
             return None
-        return RetimedTrack(edit, poses)
+        moved = self._measure_moved(poses[None], edit.start)[0]
+        return RetimedTrack(replace(edit, pressure=float(pressure), moved_m=float(moved)), poses)
+
+    def _scale(self, edit: Edit, strength: float) -> SpeedLaw:
+        """A law with a change of speed, or a way that is edged out, that many times as large, within the limits."""
+        law, before = edit.law, compute_initial_state(self.scene, self.agent, edit.start, None).speed
+        if law.change < 0.0:
+            target = max(before - strength * (before - law.target), 0.0)
+            return replace(law, change=max(law.change * strength, -BRAKING_M_S2[-1]), target=target)
+        if np.isfinite(law.held_s):
+            return replace(law, target=law.target * strength, held_s=law.held_s * strength)
+        return replace(law, change=min(law.change * strength, ACCELERATION_M_S2[-1]))
+
+    def _find_weakest(self, edit: Edit) -> RetimedTrack | None:
+        """The weakest form of an edit that presses as much as a level asks for once it is driven, by bisection."""
+        strongest = self._find_strongest(edit)
+        level = next((level for level in LEVELS if strongest is not None and strongest[1].edit.pressure >= level), None)
+        if strongest is None or level is None:
+            return None
+        low, (high, best) = 0.0, strongest
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            weaker = self._drive(edit, middle)
+            if weaker is not None and weaker.edit.pressure >= level:
+                best, high = weaker, middle
+            else:
+                low = middle
+        return best
+
+    def _find_strongest(self, edit: Edit) -> tuple[float, RetimedTrack] | None:
+        """The strongest form of an edit that is clear, and how strong it is: it passes the ego as near as it may."""
+        best, high = None, np.inf
+        for strength in STRENGTHS:
+            track = self._drive(edit, strength)
+            if track is None:
+                high = strength
+                break
+            best = strength, track
+        for _ in range(BISECTIONS if best is not None and np.isfinite(high) else 0):
+            middle = 0.5 * (best[0] + high)
+            track = self._drive(edit, middle)
+            if track is None:
+                high = middle
+            else:
+                best = middle, track
+        return best
 
     def _simulate(self, edit: Edit) -> Floats:
         """(F, 3) poses of the box centre: tracker and bicycle, told anew where to be every second."""
@@ -322,25 +374,6 @@ class Retiming:
         back = REAR_AXLE_BEHIND_CENTER * length
         center = track[:, :2] + back * np.stack([np.cos(track[:, 2]), np.sin(track[:, 2])], axis=1)
         return np.column_stack([center, track[:, 2]])
-
-    def _shrink(self, track: RetimedTrack) -> RetimedTrack:
-        """The same edit as weak as it can be without a lower level of pressure: bisection of its acceleration."""
-        edit = track.edit
-        level = next((level for level in LEVELS if edit.pressure >= level), LEVELS[-1])
-        low, high, weakest = 0.0, abs(edit.law.change), track
-        for _ in range(BISECTIONS):
-            middle = 0.5 * (low + high)
-            weaker = SpeedLaw(np.copysign(middle, edit.law.change), edit.law.target, edit.law.held_s, edit.law.then)
-            poses = self._place(edit.path, edit.start, [weaker])
-            chosen = [
-                found for found in self._select(edit.path, edit.start, [weaker], poses) if found.pressure >= level
-            ]
-            driven = self._drive(chosen[0]) if chosen else None
-            if driven is not None:
-                weakest, high = driven, middle
-            else:
-                low = middle
-        return weakest if weakest is not track and self._is_answered(weakest) else track
 
     def _is_answered(self, track: RetimedTrack) -> bool:
         """Whether a careful human survives it, among those near."""

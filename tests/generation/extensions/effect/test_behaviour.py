@@ -56,13 +56,13 @@ def circle(turned_rad: float) -> Scene:
 
 
 def leave_road(seconds: float) -> Scene:
-    away = (TIME > 4.0) & (TIME < 4.0 + seconds)
+    away = np.abs(TIME - 4.0 - seconds / 2) < seconds / 2
     return drive(20 + 10 * TIME, np.where(away, 191.0, 194.75), 0.0)
 
 
 def against(seconds: float) -> Scene:
     """West on the lane of the east, then it is gone to its own; the lane is changed in a frame."""
-    return drive(300 - 8 * TIME, np.where(TIME < seconds, 194.75, 205.25), np.pi)
+    return drive(300 - 8 * TIME, np.where(TIME - seconds < 0, 194.75, 205.25), np.pi)
 
 
 STUCK = drive(TOUCHING[1] + 0.9 + 8 * TIME, 198.25, 0.0)

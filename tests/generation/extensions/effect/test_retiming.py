@@ -1,0 +1,114 @@
+"""Edits of recorded and lane paths: as small as they can be, driven by a car, and pressing without a contact."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmark.constants import FRAME_HZ
+from benchmark.dynamics.bicycle import DriverLimits, find_broken_limit
+from benchmark.geometry import Floats, boxes_overlap
+from benchmark.road_map import Lane
+from benchmark.scene import Scene
+from generation.extensions.effect.paths import LaneGraph, VehiclePath, list_lane_paths, list_recorded_paths
+from generation.extensions.effect.pressure import EgoPlans
+from generation.extensions.effect.retiming import LEVELS, RetimedTrack, Retiming, iterate_retimings
+from generation.search.hyperparameters import CandidateProposal, HyperParameters
+from tests.hand_made import Car, scene_on_straight_road, straight_road
+
+RETIMED = HyperParameters(proposal=CandidateProposal.RETIMED, shortest_drive_frames=36)
+REROUTED = replace(RETIMED, proposal=CandidateProposal.REROUTED)
+
+
+def first_track(scene: Scene, hyper: HyperParameters) -> RetimedTrack:
+    return next(Retiming(scene, 0, hyper).find_tracks())
+
+
+def boxes_of(scene: Scene, track: RetimedTrack) -> Floats:
+    size = np.broadcast_to(scene.agents.size[0, :2], (len(track.poses), 2))
+    return np.column_stack([track.poses[:, :2], size, track.poses[:, 2]])
+
+
+@pytest.fixture(scope="module")
+def leader() -> tuple[Scene, RetimedTrack]:
+    """A leader 12 m ahead at the ego's speed."""
+    scene = scene_on_straight_road((Car(68.0, 198.25, 8.0),), seconds=9.0)
+    return scene, first_track(scene, RETIMED)
+
+
+def test_a_leader_dawdles_on_its_path_and_the_recorded_ego_still_passes(leader: tuple[Scene, RetimedTrack]) -> None:
+    scene, track = leader
+    boxes = boxes_of(scene, track)
+    assert len(boxes) == len(scene.timestamps_us) - track.start
+    np.testing.assert_allclose(boxes[0, :2], scene.agents.position[0, track.start, :2], atol=1e-6)
+    assert np.abs(boxes[:, 1] - 198.25).max() < 0.2
+    assert boxes[-1, 0] < scene.agents.position[0, -1, 0] - 1.0
+    assert not boxes_overlap(boxes, scene.ego.boxes[track.start :]).any()
+    assert find_broken_limit(boxes, DriverLimits()) is None
+    speed = np.diff(boxes[:, 0]) * FRAME_HZ
+    assert -4.4 <= (np.diff(speed) * FRAME_HZ).min() < -0.1
+    assert EgoPlans.of(scene).measure_pressure(boxes[None], track.start)[0] >= LEVELS[-1]
+
+
+def test_an_edit_is_as_weak_as_its_level_of_pressure_allows(leader: tuple[Scene, RetimedTrack]) -> None:
+    scene, track = leader
+    level = next(level for level in LEVELS if track.edit.pressure >= level)
+    weaker = Retiming(scene, 0, RETIMED)._drive(track.edit, 0.96)
+    assert weaker is None or weaker.edit.pressure < level
+
+
+def test_who_never_meets_the_ego_has_no_edit() -> None:
+    scene = scene_on_straight_road((Car(60.0, 205.25, 8.0, np.pi),), seconds=9.0)
+    assert list(iterate_retimings(scene, 0, RETIMED)) == []
+
+
+def test_a_parked_car_pulls_out_from_standing_within_two_metres_per_second_squared() -> None:
+    scene = scene_on_straight_road((Car(100.0, 194.5, 0.0),), seconds=9.0)
+    assert list(iterate_retimings(scene, 0, RETIMED)) == []
+    track = first_track(scene, REROUTED)
+    boxes = boxes_of(scene, track)
+    speed = np.hypot(*np.diff(boxes[:, :2], axis=0).T) * FRAME_HZ
+    assert speed[0] < 0.2 and speed.max() > 1.0
+    assert (np.diff(speed) * FRAME_HZ).max() < 2.2
+    assert find_broken_limit(boxes, DriverLimits()) is None
+    assert not boxes_overlap(boxes, scene.ego.boxes[track.start :]).any()
+
+
+def test_the_same_scene_gives_the_same_edits(leader: tuple[Scene, RetimedTrack]) -> None:
+    again = first_track(scene_on_straight_road((Car(68.0, 198.25, 8.0),), seconds=9.0), RETIMED)
+    assert (again.start, again.edit.law) == (leader[1].start, leader[1].edit.law)
+    np.testing.assert_array_equal(again.poses, leader[1].poses)
+
+
+def test_a_recorded_path_goes_on_along_the_lane() -> None:
+    scene = scene_on_straight_road((Car(60.0, 194.75, 8.0),), seconds=4.0)
+    (path,) = list_recorded_paths(scene, 0, 12, LaneGraph(scene.road_map))
+    assert path.kind == "recorded"
+    assert path.points[-1, 0] > 60.0 + 8.0 * 4.0 + 60.0
+    assert np.abs(path.points[:, 1] - 194.75).max() < 0.3
+
+
+def test_lane_paths_join_lanes_of_the_same_way_alone() -> None:
+    scene = scene_on_straight_road((Car(60.0, 194.75, 8.0),), seconds=4.0)
+    ends = {round(float(path.points[-1, 1]), 2) for path in list_lane_paths(scene, 0, 12, LaneGraph(scene.road_map))}
+    assert ends == {194.75, 198.25}
+
+
+def test_routes_branch_and_end() -> None:
+    lanes = straight_road().lanes
+    first = np.array([[0.0, 0.0], [20.0, 0.0]])
+    lanes = {
+        "a": Lane("a", first, None, ("b", "c", "gone"), (), False),
+        "b": Lane("b", first + [20, 0], None, ("a",), ("a",), False),
+        "c": Lane("c", np.array([[20.0, 0.0], [30.0, 10.0]]), None, (), ("a",), False),
+    }
+    graph = LaneGraph(replace(straight_road(), lanes=lanes))
+    routes = graph.list_routes("a", 5.0, 100.0)
+    assert sorted(tuple(route[-1]) for route in routes) == [(30.0, 10.0), (40.0, 0.0)]
+    assert all(tuple(route[0]) == (5.0, 0.0) for route in routes)
+
+
+def test_a_path_too_tight_or_too_short_for_a_car_is_none() -> None:
+    assert VehiclePath.of("lane", np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 20.0], [0.0, 20.0]])) is None
+    assert VehiclePath.of("lane", np.array([[0.0, 0.0], [1.0, 0.0]])) is None
+    assert VehiclePath.of("lane", np.zeros((5, 2))) is None
