@@ -58,36 +58,47 @@ def rank_by_effect(
         for scene in dict.fromkeys(chain.scene_name for chain in chains)
         for chain, effect in _measure_recording(source, scene, chains, panel)
     }
-    rest = sorted((chain for chain in chains if effects[chain.name].probability > 0.0), key=lambda chain: chain.name)
-    inert = [chain for chain in chains if not effects[chain.name].probability > 0.0]
-    order: list[AdversaryChain] = []
-    kinds: Counter[str] = Counter()
-    recordings: Counter[str] = Counter()
-    while rest:
-        best = max(rest, key=lambda chain: _worth(effects[chain.name], chain, kinds, recordings, panel.per_scene))
-        rest.remove(best)
-        order.append(best)
-        if recordings[best.scene_name] < panel.per_scene:
-            # Those beyond what is kept of a recording take no kind from others.
-            kinds[effects[best.name].kind] += 1
-        recordings[best.scene_name] += 1
+    by_name = {chain.name: chain for chain in chains}
+    recordings = {chain.name: chain.scene_name for chain in chains}
+    order = order_scenes(effects, recordings, panel.per_scene)
+    inert = [chain for chain in chains if chain.name not in set(order)]
     said = {
         **panel.as_json(),
         "distracted_late_s": LATE_S,
         "inert": len(inert),
-        "scenes": {
-            chain.name: {"probability": effects[chain.name].probability, **effects[chain.name].members}
-            for chain in order
-        },
+        "scenes": {name: {"probability": effects[name].probability, **effects[name].members} for name in order},
     }
-    return order, inert, said
+    return [by_name[name] for name in order], inert, said
 
 
-def _worth(
-    effect: SceneEffect, chain: AdversaryChain, kinds: Counter[str], recordings: Counter[str], per_scene: int
-) -> tuple[bool, float, float]:
-    value = effect.probability / (1.0 + ALIKE * kinds[effect.kind])
-    return recordings[chain.scene_name] < per_scene, value, effect.probability
+def order_scenes(effects: Mapping[str, SceneEffect], recordings: Mapping[str, str], per_scene: int) -> list[str]:
+    """Names of scenes that are not inert, in the order in which they should be kept.
+
+    Args:
+        effects: Effect of each scene, by name.
+        recordings: Recording of each.
+        per_scene: Scenes of a recording that are kept; further ones come last and count for no kind.
+
+    Returns:
+        The names.
+    """
+    rest = sorted(name for name, effect in effects.items() if effect.probability > 0.0)
+    order: list[str] = []
+    kinds: Counter[str] = Counter()
+    taken: Counter[str] = Counter()
+
+    def worth(name: str) -> tuple[bool, float, float]:
+        effect = effects[name]
+        value = effect.probability / (1.0 + ALIKE * kinds[effect.kind])
+        return taken[recordings[name]] < per_scene, value, effect.probability
+
+    while rest:
+        best = max(rest, key=worth)
+        rest.remove(best)
+        order.append(best)
+        kinds[effects[best].kind] += worth(best)[0]
+        taken[recordings[best]] += 1
+    return order
 
 
 def _measure_recording(

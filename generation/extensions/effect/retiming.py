@@ -217,9 +217,7 @@ class Retiming:
             own = max(self._fastest, speed)
             laws += [SpeedLaw(a, times * own, np.inf, 0.0) for a in ACCELERATION_M_S2 for times in FASTER]
         else:
-            laws += [
-                SpeedLaw(a, max(of, speed), np.inf, 0.0) for a in ACCELERATION_M_S2[::2] for of in LANE_SPEEDS_M_S
-            ]
+            laws += [SpeedLaw(a, max(of, speed), np.inf, 0.0) for a in ACCELERATION_M_S2[::2] for of in LANE_SPEEDS_M_S]
         if path.kind != "recorded" and speed < 2.0:
             laws += [SpeedLaw(a, NOSE_M_S, held, 0.0) for a in ACCELERATION_M_S2[::2] for held in NOSE_HELD_S]
         if speed >= 2.0:
