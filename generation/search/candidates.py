@@ -27,6 +27,7 @@ from generation.search.recorded_motion import (
     compute_initial_state,
     is_driving_forward,
     is_in_canvas,
+    is_vulnerable,
 )
 from generation.search.reference_scoring import CAR, find_reference_launch, is_in_reference_canvas, is_near_and_on_road
 
@@ -199,7 +200,8 @@ def draw_candidates(scene: Scene, eligible: Sequence[int], hyper: HyperParameter
 def find_exclusion_reason(scene: Scene, agent: int, hyper: HyperParameters) -> ExclusionReason | None:
     """First reason against an adversary; ``None`` if it comes close on the road and launches at a driving ego."""
     agents = scene.agents
-    if agents.categories[agent] not in FOUR_WHEELED_CATEGORIES:
+    on_request = hyper.vulnerable and hyper.proposal is CandidateProposal.RETIMED
+    if not (agents.categories[agent] in FOUR_WHEELED_CATEGORIES or (on_request and is_vulnerable(scene, agent))):
         return ExclusionReason.NOT_FOUR_WHEELED
     if agents.ids[agent] in scene.adversaries:
         return ExclusionReason.ALREADY_ADVERSARY

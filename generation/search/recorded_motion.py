@@ -76,6 +76,11 @@ FIT_HALF_WINDOW = FRAMES_PER_KEYFRAME
 """Frames on either side from which the motion at the launch is estimated: one keyframe interval."""
 
 
+def is_vulnerable(scene: Scene, agent: int) -> bool:
+    """Whether somebody walks or rides."""
+    return scene.agents.categories[agent].startswith(("human.pedestrian", "vehicle.bicycle", "vehicle.motorcycle"))
+
+
 def is_in_canvas(scene: Scene, points: Floats, half_extent_m: float, *, first: int = 0) -> Bools:
     """Whether (F, 2) global points, one a frame from ``first`` on, lie in the square around the ego."""
     local = to_local(points, scene.ego.pose[first : first + len(points)])

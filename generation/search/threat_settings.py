@@ -48,6 +48,8 @@ class ThreatSettings:
         ahead_weight: Of not being ahead of the ego where the scores end. In closed loop a vehicle is no threat to an
             ego that has passed it; the recording of open loop never passes a vehicle that it did not.
         careful_survives: Whether a scene is dropped in which a careful and competent human touches another.
+        vulnerable: Whether cyclists and pedestrians are tried too; only with ``proposal=retimed``, and on foot or by
+            bicycle no road limits them.
         behaviour: Whether a scene is dropped in which the adversary has a fault of behaviour (``docs/realism.md``).
     """
 
@@ -67,6 +69,7 @@ class ThreatSettings:
     least_overrun_m: float = 0.0
     ahead_weight: float = 0.0
     careful_survives: bool = False
+    vulnerable: bool = False
     behaviour: bool = False
 
     @property

@@ -26,7 +26,7 @@ from benchmark.records.scene_assessment import SceneAssessment, is_unsolvable
 from benchmark.scene import Scene
 from generation.labels.labelling import compute_body_gaps, compute_ego_speed, read_agent_boxes
 from generation.search.hyperparameters import DiscardRules, HyperParameters
-from generation.search.recorded_motion import find_log_replay_contacts, is_in_canvas
+from generation.search.recorded_motion import find_log_replay_contacts, is_in_canvas, is_vulnerable
 from generation.splits.format import METRE_DIGITS, YAW_DIGITS
 
 
@@ -175,7 +175,7 @@ def verify(
         _find_contact(scene, agent, start, boxes)
         or (VerificationFailure(DiscardReason.EGO_BLOCKED) if ours and _is_blocking_ego(scene, boxes, hyper) else None)
         or _check_area(scene, agent, start, hyper)
-        or (_check_road(scene, start, boxes, hyper) if ours else None)
+        or (_check_road(scene, start, boxes, hyper) if ours and not is_vulnerable(scene, agent) else None)
         or _check_closeness(scene, agent, start, hyper)
         or _check_masked_steps(scene, agent, start)
     )

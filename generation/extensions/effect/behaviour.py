@@ -16,6 +16,7 @@ from benchmark.interactions.tracks import ContinuousTracks
 from benchmark.metrics.places import NEAR_M, PlaceClassifier, PlaceKind
 from benchmark.scene import Scene
 from generation.search.recorded_ego_path import get_ego_path
+from generation.search.recorded_motion import is_vulnerable
 from generation.search.verify import EGO, DiscardReason, VerificationFailure
 
 AGAINST_S: Final = 2.0
@@ -165,7 +166,7 @@ def iterate_behaviour_faults(scene: Scene, agent: int, start: int) -> Iterator[V
         _find_riding_beside(driven, others),
         _find_sticking(driven, others),
         _find_circling(driven),
-        _find_off_road(driven),
+        None if is_vulnerable(scene, agent) else _find_off_road(driven),
         _find_head_on(driven),
         _find_weaving(driven),
     )

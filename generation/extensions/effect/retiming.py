@@ -31,7 +31,7 @@ from generation.extensions.effect.paths import SPACING_M, LaneGraph, VehiclePath
 from generation.extensions.effect.pressure import EgoPlans
 from generation.search.hyperparameters import CandidateProposal, HyperParameters
 from generation.search.recorded_ego_path import get_ego_path
-from generation.search.recorded_motion import compute_initial_state, is_driving_forward
+from generation.search.recorded_motion import compute_initial_state, is_driving_forward, is_vulnerable
 
 BRAKING_M_S2: Final = tuple(np.arange(0.5, 4.01, 0.5).tolist())
 BRAKED_TO: Final = (0.0, 0.3, 0.5, 0.7, 0.85)
@@ -120,6 +120,7 @@ class Retiming:
         self.scene, self.agent, self.hyper = scene, agent, hyper
         shapely.prepare(scene.road_map.drivable_area)
         self._tracks = ContinuousTracks.of_scene(scene)
+        self._walks = is_vulnerable(scene, agent)
         self._pull_outs: list[VehiclePath] | None = None
         self._last = len(scene.timestamps_us) - 1
         self._size = scene.agents.size[agent, :2].astype(np.float64)
@@ -290,12 +291,12 @@ class Retiming:
     def _drive(self, edit: Edit, strength: float) -> RetimedTrack | None:
         """The edit, that many times as strong, as a car drives it; ``None`` where it is not clear or off the road."""
         edit = replace(edit, law=self._scale(edit, strength))
-        poses = self._simulate(edit)
+        poses = self._place(edit.path, edit.start, [edit.law])[0] if self._walks else self._simulate(edit)
         if not np.isfinite(poses).all() or not self._is_clear(poses[None], edit.start)[0]:
             return None
         pressure = self._plans.measure_pressure(self._box(poses[None]), edit.start)[0]
         off = ~self.scene.road_map.is_drivable(box_corners(self._box(poses))).all(axis=-1)
-        if off.mean() > self.hyper.most_corner_off_road_share:
+        if not self._walks and off.mean() > self.hyper.most_corner_off_road_share:
             return None
         moved = self._measure_moved(poses[None], edit.start)[0]
         return RetimedTrack(replace(edit, pressure=float(pressure), moved_m=float(moved)), poses)

@@ -13,6 +13,7 @@ from benchmark.scene import Scene
 from generation.extensions.effect.paths import LaneGraph, VehiclePath, list_lane_paths, list_recorded_paths
 from generation.extensions.effect.pressure import EgoPlans
 from generation.extensions.effect.retiming import LEVELS, RetimedTrack, Retiming, iterate_retimings
+from generation.search.candidates import ExclusionReason, find_exclusion_reason
 from generation.search.hyperparameters import CandidateProposal, HyperParameters
 from tests.hand_made import Car, scene_on_straight_road, straight_road
 
@@ -112,3 +113,18 @@ def test_a_path_too_tight_or_too_short_for_a_car_is_none() -> None:
     assert VehiclePath.of("lane", np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 20.0], [0.0, 20.0]])) is None
     assert VehiclePath.of("lane", np.array([[0.0, 0.0], [1.0, 0.0]])) is None
     assert VehiclePath.of("lane", np.zeros((5, 2))) is None
+
+
+def test_a_pedestrian_crosses_earlier_on_request() -> None:
+    """She would cross 2 s behind the ego; now she is nearer."""
+    walking = Car(104.0, 188.8, 1.0, np.pi / 2, "human.pedestrian.adult", (0.6, 0.7, 1.7))
+    scene = scene_on_straight_road((walking,), seconds=11.0)
+    assert find_exclusion_reason(scene, 0, RETIMED) is ExclusionReason.NOT_FOUR_WHEELED
+    hyper = replace(RETIMED, vulnerable=True)
+    assert find_exclusion_reason(scene, 0, hyper) is None
+    assert find_exclusion_reason(scene, 0, replace(hyper, proposal=CandidateProposal.REROUTED)) is not None
+    track = first_track(scene, hyper)
+    boxes = boxes_of(scene, track)
+    assert boxes[-1, 1] > scene.agents.position[0, -1, 1] + 0.5
+    assert np.hypot(*np.diff(boxes[:, :2], axis=0).T).max() * FRAME_HZ < 1.3
+    assert EgoPlans.of(scene).measure_pressure(boxes[None], track.start)[0] >= LEVELS[-1]
