@@ -37,6 +37,7 @@ from benchmark.api.opening import (
 )
 from benchmark.api.planners import load_planner as load_planner
 from benchmark.api.planners import measure_traffic as measure_traffic
+from benchmark.api.planners import planner_panel as planner_panel
 from benchmark.api.planners import planner_under_test as planner_under_test
 from benchmark.api.presentation import (
     stale_leaderboard as stale_leaderboard,
@@ -165,6 +166,7 @@ from generation.pipeline.settings import BuildSettings as BuildSettings
 from generation.pipeline.split import build_split as generate
 from generation.render.pictures import write_pictures as write_pictures
 from generation.search.hyperparameters import HyperParameters as HyperParameters
+from generation.search.presets import build_further_settings as further_settings
 from generation.search.presets import build_hyper_parameters as hyper_parameters
 from generation.search.presets import build_trajectory_model as trajectory_model
 from generation.sources.importing import ImportSettings as ImportSettings
@@ -240,6 +242,7 @@ __all__ = [
     "find_drives",
     "find_records",
     "frozen_split",
+    "further_settings",
     "generate",
     "hyper_parameters",
     "import_scenarionet",
@@ -252,6 +255,7 @@ __all__ = [
     "open_split",
     "packaged_splits",
     "plan_file_factory",
+    "planner_panel",
     "planner_under_test",
     "recorded_samples",
     "rescore",

@@ -69,7 +69,7 @@ def read_generate_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
     return {
         "seed": members["seed"],
         # Every hyper-parameter is named; the preset says which trajectory model draws candidates.
-        "preset": "default" if sampler.get("conditioned", True) else "paper",
+        "preset": "effect" if "further" in members else "default" if sampler.get("conditioned", True) else "paper",
         "set": hyper,
         "manoeuvre": members.get("asked"),
         "samples": sampler.get("samples"),

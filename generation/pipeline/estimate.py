@@ -160,7 +160,7 @@ def estimate_planning(
     scenes = len({unit.scene_name for unit in units})
     later = (adversaries - 1) * KEPT_SHARE * len(units) * max(len(units) / scenes - 1.0, 0.0)
     count = len(left) + round(later)
-    known = compute_mean_seconds([search.timing_path(unit) for unit in units])
+    known = compute_mean_seconds([search.timing_path(search.key(unit)) for unit in units])
     if known is not None or not count:
         return count, known or 0.0
     unit = left[0] if left else units[0]

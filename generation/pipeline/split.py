@@ -150,7 +150,7 @@ def _build_adversarial(
         )
         write_frozen(settings.freeze, frozen)
     return replace(
-        report, runtime=build_runtime_table([search.timing_path(attempted.unit) for attempted in result.tried], notes)
+        report, runtime=build_runtime_table([search.timing_path(attempted.key) for attempted in result.tried], notes)
     )
 
 

@@ -156,7 +156,7 @@ def _run_batch(search: Search, keep_rounds: bool, work: Sequence[tuple[Scene, Se
             stored = before
         timing = {"scene": unit.scene_name, "agent": unit.agent_id, "seconds": result.stage_seconds}
         # Before the attempt, so that its time and rounds exist wherever the attempt does.
-        write_bytes(search.timing_path(unit), (canonical_json(timing) + "\n").encode(), durable=False)
+        write_bytes(search.timing_path(search.key(unit)), (canonical_json(timing) + "\n").encode(), durable=False)
         if keep_rounds and stored.report.kept:
             _write_rounds(search, unit, scene, result.rounds)
         if before is None:

@@ -111,9 +111,9 @@ class Search:
         """File of the rounds of one kept attempt."""
         return self.state / "rounds" / f"{self.key(unit)}.json"
 
-    def timing_path(self, unit: SearchUnit) -> Path:
-        """File that says how long an attempt took; no result depends on it."""
-        return self.timings / "attempts" / f"{self.key(unit)}.timing.json"
+    def timing_path(self, key: str) -> Path:
+        """File that says how long an attempt took, by its content key; no result depends on it."""
+        return self.timings / "attempts" / f"{key}.timing.json"
 
     def compute_eligibility_key(self, scene_name: str, earlier: tuple[EarlierAdversary, ...]) -> str:
         """Content key of one choice of vehicles."""

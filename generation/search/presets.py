@@ -43,9 +43,10 @@ def build_default_settings() -> HyperParameters:
 def build_further_settings(
     preset: Preset, settings: Mapping[str, Any] | None = None, changes: Sequence[str] = ()
 ) -> tuple[HyperParameters, ...]:
-    """Settings of the further searches of a preset, changed as the first one's: of ``effect`` nearness and edits.
+    """Settings of the further searches of a preset: of ``effect`` nearness, and edits of recorded paths and of lanes.
 
-    Threat and nearness find different failures; edits of recorded paths and of lanes come from an extension.
+    Threat and nearness find different failures. What is changed in the first search is changed in those that have the
+    same value; arguments and errors as of `build_hyper_parameters`.
     """
     if preset != "effect":
         return ()
@@ -64,9 +65,15 @@ def build_further_settings(
         )
         for proposal in (CandidateProposal.RETIMED, CandidateProposal.REROUTED)
     ]
-    # What was changed concerns the vehicles and the sampling; who proposes stays.
-    changes = [change for change in changes if change.partition("=")[0].strip() != "proposal"]
-    return tuple(hyper.changed(changes) for hyper in (near, *proposed))
+    first, names = build_hyper_parameters(preset), [change.partition("=")[0].strip() for change in changes]
+    return tuple(
+        hyper.changed([
+            change
+            for change, name in zip(changes, names, strict=True)
+            if getattr(hyper, name) == getattr(first, name)
+        ])
+        for hyper in (near, *proposed)
+    )  # fmt: skip
 
 
 def build_hyper_parameters(

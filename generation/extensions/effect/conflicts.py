@@ -107,14 +107,7 @@ def _tell_first(closest: Encroachment | None) -> str:
 def _build_sentence(noun: str, values: dict[str, Any]) -> str:
     start = "pulls out and " if values["pull_out"] else ""
     does = f"the {noun} {start}{_VERBS[Manoeuvre(values['manoeuvre'])]}"
-    was, is_now = (_tell_pet(values[f"first_{when}"], values[f"pet_{when}_s"]) for when in ("recorded", "now"))
-    return f"{does}, {is_now}; on the recording {was}"
-
-
-def _tell_pet(first: str, seconds: float | None) -> str:
-    match first:
-        case "ego":
-            return f"the ego was {seconds:.1f} s ahead of it"
-        case "other":
-            return f"it was {seconds:.1f} s ahead of the ego"
-    return "it did not use the ego's path"
+    now = {"ego": " {:.1f} s behind the ego", "other": " {:.1f} s ahead of the ego", "none": " without using its path"}
+    was = {"ego": "it was {:.1f} s behind", "other": "it was {:.1f} s ahead", "none": "it did not use the ego's path"}
+    here, there = now[values["first_now"]], was[values["first_recorded"]]
+    return f"{does}{here.format(values['pet_now_s'])}; on the recording {there.format(values['pet_recorded_s'])}"
