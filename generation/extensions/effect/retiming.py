@@ -13,7 +13,6 @@ import shapely
 
 from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME
 from benchmark.dynamics.bicycle import (
-    ACCELERATION_LAG_S,
     REAR_AXLE_BEHIND_CENTER,
     WHEELBASE,
     MotionModel,
@@ -27,32 +26,13 @@ from benchmark.interactions.reaction import Driver
 from benchmark.interactions.tracks import ContinuousTracks
 from benchmark.machine.identity_cache import IdentityCache
 from benchmark.scene import Scene
-from generation.extensions.effect.paths import SPACING_M, LaneGraph, VehiclePath, list_lane_paths, list_recorded_paths
+from generation.extensions.effect.edits import SpeedLaw, compute_stations, list_laws, scale_law
+from generation.extensions.effect.paths import LaneGraph, VehiclePath, list_lane_paths, list_recorded_paths
 from generation.extensions.effect.pressure import EgoPlans
 from generation.search.hyperparameters import CandidateProposal, HyperParameters
 from generation.search.recorded_ego_path import get_ego_path
 from generation.search.recorded_motion import compute_initial_state, is_driving_forward, is_vulnerable
 
-BRAKING_M_S2: Final = tuple(np.arange(0.5, 4.01, 0.5).tolist())
-BRAKED_TO: Final = (0.0, 0.3, 0.5, 0.7, 0.85)
-HELD_S: Final = (0.5, 1.5, 3.0, 5.0, 9.0)
-RECOVERY_M_S2: Final = 1.0
-"""An edit that brakes: how hard, to which share of its speed, how long it stays there, and how it comes back."""
-ACCELERATION_M_S2: Final = (0.4, 0.8, 1.2, 1.6, 2.0)
-FASTER: Final = (1.0, 1.1, 1.2)
-"""An edit that goes early: how hard, and up to which multiple of its own highest speed."""
-LANE_SPEEDS_M_S: Final = (3.0, 4.5, 6.0, 7.5, 9.0, 11.0)
-"""Speeds at which a vehicle drives a path that it did not drive."""
-NOSE_M_S, NOSE_HELD_S = 2.5, tuple(np.arange(0.0, 3.01, 0.25).tolist())
-"""An edit that edges out and waits: how fast, and how long before it stops."""
-ACROSS_M_S2: Final = 2.5
-"""Bends are taken at this."""
-SLOWING_M_S2: Final = 2.0
-"""For bends ahead."""
-SETTLING_S, REACHED_M_S = 0.4, 0.3
-"""How softly a speed is reached, and when it is."""
-LAG_SHARE: Final = 1.0 / (1.0 + FRAME_HZ * ACCELERATION_LAG_S)
-"""Accelerations build up as those of the simulator do, so that it keeps to the law."""
 EVERY_S: Final = 1.0
 """Between the frames from which edits start; twice that where paths are not recorded."""
 AIR_M: Final = 0.25
@@ -72,16 +52,6 @@ STRENGTHS: Final = (0.5, 0.8, 1.1, 1.5)
 """Of an edit, times what was found on its path; a car is not exactly where a point would be."""
 BISECTIONS: Final = 6
 """Of the interval between two of them: to less than a hundredth."""
-
-
-@dataclass(frozen=True, slots=True)
-class SpeedLaw:
-    """Speed of an edit: ``change`` m/s^2 to ``target`` m/s, ``held_s`` there, then +1 m/s^2 to ``then`` m/s."""
-
-    change: float
-    target: float
-    held_s: float
-    then: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,20 +182,10 @@ class Retiming:
         return bool(on[int(np.argmax(on)) :].mean() > 0.97) if on.any() else False
 
     def _list_laws(self, path: VehiclePath, start: int) -> list[SpeedLaw]:
-        speed = compute_initial_state(self.scene, self.agent, start, None).speed
-        laws = []
-        if path.kind == "recorded":
-            own = max(self._fastest, speed)
-            laws += [SpeedLaw(a, times * own, np.inf, 0.0) for a in ACCELERATION_M_S2 for times in FASTER]
-        else:
-            laws += [SpeedLaw(a, max(of, speed), np.inf, 0.0) for a in ACCELERATION_M_S2[::2] for of in LANE_SPEEDS_M_S]
-        if path.kind != "recorded" and speed < 2.0:
-            laws += [SpeedLaw(a, NOSE_M_S, held, 0.0) for a in ACCELERATION_M_S2[::2] for held in NOSE_HELD_S]
-        if speed >= 2.0:
-            laws += [
-                SpeedLaw(-b, share * speed, held, speed) for b in BRAKING_M_S2 for share in BRAKED_TO for held in HELD_S
-            ]
-        return laws
+        return list_laws(path.kind, self._speed_at(start), self._fastest)
+
+    def _speed_at(self, start: int) -> float:
+        return compute_initial_state(self.scene, self.agent, start, None).speed
 
     def _place(self, path: VehiclePath, start: int, laws: Sequence[SpeedLaw]) -> Floats:
         """(B, F, 3) poses of the box centre of points that keep to a path, from the start frame on."""
@@ -237,28 +197,7 @@ class Retiming:
         return np.asarray(poses)
 
     def _compute_stations(self, path: VehiclePath, start: int, laws: Sequence[SpeedLaw]) -> Floats:
-        """(B, F) metres along a path by each law, slower where the path bends."""
-        change, target, held, then = (
-            np.array([getattr(law, name) for law in laws]) for name in ("change", "target", "held_s", "then")
-        )
-        bends = _compute_bend_speed(path)
-        speed = np.full(len(laws), compute_initial_state(self.scene, self.agent, start, None).speed)
-        acceleration, reached = np.zeros(len(laws)), np.full(len(laws), np.inf)
-        station = np.zeros((len(laws), self._last - start + 1))
-        step = 1.0 / FRAME_HZ
-        for frame in range(1, station.shape[1]):
-            now = frame * step
-            back = now > reached + held
-            wanted = np.where(back, then, target)
-            most = np.where(back, RECOVERY_M_S2, np.abs(change))
-            reached = np.where(np.isinf(reached) & (np.abs(speed - target) <= REACHED_M_S), now, reached)
-            bend = np.interp(station[:, frame - 1], SPACING_M * np.arange(len(bends)), bends)
-            most = np.where(bend < np.minimum(wanted, speed), SLOWING_M_S2, most)
-            asked = np.clip((np.minimum(wanted, bend) - speed) / SETTLING_S, -most, most)
-            acceleration = acceleration + LAG_SHARE * (asked - acceleration)
-            speed = np.maximum(speed + acceleration * step, 0.0)
-            station[:, frame] = station[:, frame - 1] + speed * step
-        return station
+        return compute_stations(path, laws, self._speed_at(start), self._last - start + 1)
 
     def _measure_moved(self, poses: Floats, start: int) -> Floats:
         """(B,) mean distance from the recording, metres, where both are there (ADE)."""
@@ -290,7 +229,7 @@ class Retiming:
 
     def _drive(self, edit: Edit, strength: float) -> RetimedTrack | None:
         """The edit, that many times as strong, as a car drives it; ``None`` where it is not clear or off the road."""
-        edit = replace(edit, law=self._scale(edit, strength))
+        edit = replace(edit, law=scale_law(edit.law, self._speed_at(edit.start), strength))
         poses = self._place(edit.path, edit.start, [edit.law])[0] if self._walks else self._simulate(edit)
         if not np.isfinite(poses).all() or not self._is_clear(poses[None], edit.start)[0]:
             return None
@@ -300,16 +239,6 @@ class Retiming:
             return None
         moved = self._measure_moved(poses[None], edit.start)[0]
         return RetimedTrack(replace(edit, pressure=float(pressure), moved_m=float(moved)), poses)
-
-    def _scale(self, edit: Edit, strength: float) -> SpeedLaw:
-        """A law with a change of speed, or a way that is edged out, that many times as large, within the limits."""
-        law, before = edit.law, compute_initial_state(self.scene, self.agent, edit.start, None).speed
-        if law.change < 0.0:
-            target = max(before - strength * (before - law.target), 0.0)
-            return replace(law, change=max(law.change * strength, -BRAKING_M_S2[-1]), target=target)
-        if np.isfinite(law.held_s):
-            return replace(law, target=law.target * strength, held_s=law.held_s * strength)
-        return replace(law, change=min(law.change * strength, ACCELERATION_M_S2[-1]))
 
     def _find_weakest(self, edit: Edit) -> RetimedTrack | None:
         """The weakest form of an edit that presses as much as a level asks for once it is driven, by bisection."""
@@ -389,14 +318,6 @@ class Retiming:
 
 
 _get_graph: Final = IdentityCache[Scene, LaneGraph](lambda scene: LaneGraph(scene.road_map), kept=2)
-
-
-def _compute_bend_speed(path: VehiclePath) -> Floats:
-    """(V,) m/s at which a path can be driven, slowed down for bends ahead."""
-    speed = np.sqrt(ACROSS_M_S2 / np.maximum(np.abs(path.curvature), 1e-3))
-    for index in range(len(speed) - 2, -1, -1):
-        speed[index] = min(speed[index], np.sqrt(speed[index + 1] ** 2 + 2 * SLOWING_M_S2 * SPACING_M))
-    return np.asarray(speed)
 
 
 def iterate_retimings(scene: Scene, agent: int, hyper: HyperParameters) -> Iterator[tuple[int, Floats]]:
