@@ -21,11 +21,12 @@ from benchmark.scene import Scene
 from generation.labels.labelling import compute_labels, compute_times_to_collision, find_closest_approach
 from generation.labels.manoeuvres import Manoeuvre
 from generation.search.candidates import find_launch_frame
-from generation.search.hyperparameters import CandidateProposal, DiscardRules, HyperParameters
+from generation.search.hyperparameters import DiscardRules, HyperParameters
 from generation.search.planning import AdversaryPlanning
 from generation.search.proposals import Diversify, Prior, SearchSeconds, SearchSteps, run_searches
 from generation.search.ranking import compute_challenge_score
 from generation.search.recorded_motion import find_log_replay_contacts
+from generation.search.threat_settings import CandidateProposal
 from generation.search.verify import DiscardReason, VerificationFailure, check_fairness, count_masked_steps, verify
 
 ALGORITHM_VERSION = "4"

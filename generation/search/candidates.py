@@ -20,7 +20,7 @@ from benchmark.geometry import Bools, Floats, to_local, wrap_angle
 from benchmark.machine.storage import content_seed
 from benchmark.scene import Scene
 from generation.labels.labelling import compute_ego_speed
-from generation.search.hyperparameters import CandidateProposal, HyperParameters, LaunchRule, VehicleChoiceRule
+from generation.search.hyperparameters import HyperParameters, LaunchRule, VehicleChoiceRule
 from generation.search.recorded_ego_path import RecordedEgoPath, get_ego_path
 from generation.search.recorded_motion import (
     compute_center_distance,
@@ -28,8 +28,10 @@ from generation.search.recorded_motion import (
     is_driving_forward,
     is_in_canvas,
     is_vulnerable,
+    measure_to_ego_path,
 )
 from generation.search.reference_scoring import CAR, find_reference_launch, is_in_reference_canvas, is_near_and_on_road
+from generation.search.threat_settings import CandidateProposal
 
 SOONEST_S: Final = 1.0
 LATEST_S: Final = 6.0
@@ -47,8 +49,6 @@ MOST_TURN_RAD: Final = np.deg2rad(100.0)
 FOLLOWING_RAD: Final = np.deg2rad(60.0)
 """Heading error within which an arriving vehicle can drive on along the ego's path; others must stop there."""
 ROAD_SHARES: Final = (0.2, 0.4, 0.6, 0.8, 1.0)
-AHEAD_S: Final = 8.0
-"""Of the ego's path, which proposed tracks have to meet."""
 MARGIN_M: Final = 5.0
 """Of the area around the ego that is not counted on."""
 
@@ -206,7 +206,7 @@ def find_exclusion_reason(scene: Scene, agent: int, hyper: HyperParameters) -> E
     if agents.ids[agent] in scene.adversaries:
         return ExclusionReason.ALREADY_ADVERSARY
     if hyper.proposal is not CandidateProposal.SAMPLED:
-        return None if np.isfinite(_measure_to_ego_path(scene, agent, hyper)) else ExclusionReason.OUT_OF_REACH
+        return None if np.isfinite(measure_to_ego_path(scene, agent, hyper)) else ExclusionReason.OUT_OF_REACH
     return (
         _find_own_exclusion(scene, agent, hyper)
         if hyper.choice is VehicleChoiceRule.OURS
@@ -258,20 +258,8 @@ def compute_nearness(scene: Scene, agent: int, hyper: HyperParameters) -> float:
     return float("nan") if launch is None else 1.0 / (1.0 + compute_reach_at(scene, agent, launch, hyper) / 3.0)
 
 
-def _measure_to_ego_path(scene: Scene, agent: int, hyper: HyperParameters) -> float:
-    """Least metres, to a vehicle, of where the ego is in the next 8 s, while it moves; infinite beyond the area."""
-    valid, least = scene.agents.valid[agent], np.inf
-    moving = compute_ego_speed(scene) >= hyper.moving_ego_m_s
-    for frame in np.flatnonzero(valid)[hyper.history_frames :: FRAME_HZ].tolist():
-        ahead = slice(frame, frame + round(AHEAD_S * FRAME_HZ))
-        there = scene.ego.boxes[ahead, :2][moving[ahead]]
-        away = np.linalg.norm(there - scene.agents.position[agent, frame, :2], axis=1)
-        least = min(least, float(away.min(initial=np.inf)))
-    return least if least <= hyper.half_extent_m else np.inf
-
-
 def _compute_nearness_to_path(scene: Scene, agent: int, hyper: HyperParameters) -> float:
-    return 1.0 / (1.0 + _measure_to_ego_path(scene, agent, hyper) / 10.0)
+    return 1.0 / (1.0 + measure_to_ego_path(scene, agent, hyper) / 10.0)
 
 
 def find_launch_frame(scene: Scene, agent: int, hyper: HyperParameters) -> int | None:

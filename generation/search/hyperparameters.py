@@ -14,7 +14,7 @@ from benchmark.dynamics.reference_path import WAYPOINTS
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key
-from generation.search.threat_settings import NEUTRAL, ThreatSettings, parse_setting
+from generation.search.threat_settings import NEUTRAL, CandidateProposal, ThreatSettings, parse_setting
 
 CANDIDATE_FRAMES = WAYPOINTS * FRAMES_PER_KEYFRAME
 """Frames that a candidate lasts: 8 s at 12 Hz."""
@@ -79,18 +79,6 @@ class VehicleChoiceRule(StrEnum):
 
     OURS = "ours"
     REFERENCE = "reference"
-
-
-class CandidateProposal(StrEnum):
-    """Source of an adversary's motion.
-
-    ``SAMPLED``: the diffusion model, refined and scored. ``RETIMED``: its recorded path with other timing.
-    ``REROUTED``: lanes that it did not take, from standing too. The latter two are of the extension ``effect``.
-    """
-
-    SAMPLED = "sampled"
-    RETIMED = "retimed"
-    REROUTED = "rerouted"
 
 
 class LaunchRule(StrEnum):
@@ -405,10 +393,8 @@ class HyperParameters(ThreatSettings):
 
 
 _LATER_SETTINGS: Final[dict[str, Any]] = {
-    "timestep_frames": 1, "varied": True, "init_least": 0.0, "score": ScoreDefinition.APPENDIX,
-    "motion": ExecutionModel.DRIVER, "choice": VehicleChoiceRule.OURS,
-    "launch": LaunchRule.NEAR, "discards": DiscardRules.OURS, "proposal": CandidateProposal.SAMPLED,
-    "manoeuvre_weight": 2.0,
-    **asdict(NEUTRAL),
+    "timestep_frames": 1, "varied": True, "init_least": 0.0, "score": ScoreDefinition.APPENDIX, "manoeuvre_weight": 2.0,
+    "motion": ExecutionModel.DRIVER, "choice": VehicleChoiceRule.OURS, "launch": LaunchRule.NEAR,
+    "discards": DiscardRules.OURS, "proposal": CandidateProposal.SAMPLED, **asdict(NEUTRAL),
 }  # fmt: skip
 """Settings that came when searches had been kept already, as searches had them then: so they are no part of the key."""

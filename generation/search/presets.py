@@ -9,7 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from generation.search.hyperparameters import CandidateProposal, HyperParameters, LaunchRule
+from generation.search.hyperparameters import HyperParameters, LaunchRule
+from generation.search.threat_settings import CandidateProposal
 
 if TYPE_CHECKING:
     from generation.search.definition import PackagedPrior

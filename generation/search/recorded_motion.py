@@ -14,6 +14,8 @@ from benchmark.protocols.exact import (
     interpolate_object_boxes,
 )
 from benchmark.scene import Scene
+from generation.labels.labelling import compute_ego_speed
+from generation.search.hyperparameters import HyperParameters
 
 
 def find_log_replay_contacts(scene: Scene, agents: NDArray[np.int64] | None = None) -> Bools:
@@ -68,6 +70,8 @@ def _is_touching(ego: Floats, boxes: Floats, present: Bools) -> Bools:
     return verdict
 
 
+AHEAD_S = 8.0
+"""Of the ego's path, which proposed tracks have to meet."""
 STANDING_M_S = 0.3
 """Slower than this a recorded vehicle stands; what its annotation drifts is noise."""
 MOST_SLIP_RAD = 0.35
@@ -85,6 +89,18 @@ def is_in_canvas(scene: Scene, points: Floats, half_extent_m: float, *, first: i
     """Whether (F, 2) global points, one a frame from ``first`` on, lie in the square around the ego."""
     local = to_local(points, scene.ego.pose[first : first + len(points)])
     return np.asarray((np.abs(local) <= half_extent_m).all(axis=-1))
+
+
+def measure_to_ego_path(scene: Scene, agent: int, hyper: HyperParameters) -> float:
+    """Least metres, to a vehicle, of where the ego is in the next 8 s, while it moves; infinite beyond the area."""
+    valid, least = scene.agents.valid[agent], np.inf
+    moving = compute_ego_speed(scene) >= hyper.moving_ego_m_s
+    for frame in np.flatnonzero(valid)[hyper.history_frames :: FRAME_HZ].tolist():
+        ahead = slice(frame, frame + round(AHEAD_S * FRAME_HZ))
+        there = scene.ego.boxes[ahead, :2][moving[ahead]]
+        away = np.linalg.norm(there - scene.agents.position[agent, frame, :2], axis=1)
+        least = min(least, float(away.min(initial=np.inf)))
+    return least if least <= hyper.half_extent_m else np.inf
 
 
 def compute_center_distance(scene: Scene, agent: int) -> Floats:

@@ -1,4 +1,4 @@
-"""Weights of the terms that ask a candidate to threaten the ego, all 0 in the paper, and their values from text."""
+"""Weights of the terms that ask a candidate to threaten the ego, all 0 in the paper; sources of candidates."""
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -23,6 +23,18 @@ def parse_setting(name: str, text: str, kind: type) -> Any:
     if isinstance(value, float) and not np.isfinite(value):
         raise InputError(f"hyper-parameter {name} must be finite, not {text!r}")
     return value
+
+
+class CandidateProposal(StrEnum):
+    """Source of an adversary's motion.
+
+    ``SAMPLED``: the diffusion model, refined and scored. ``RETIMED``: its recorded path with other timing.
+    ``REROUTED``: lanes that it did not take, from standing too. The latter two are of the extension ``effect``.
+    """
+
+    SAMPLED = "sampled"
+    RETIMED = "retimed"
+    REROUTED = "rerouted"
 
 
 @dataclass(frozen=True, slots=True)

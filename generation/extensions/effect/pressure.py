@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmark.constants import PLAN_STEP_S
 from benchmark.geometry import Bools, Floats, boxes_overlap
@@ -30,7 +31,7 @@ class EgoPlans:
     """
 
     boxes: Floats
-    frames: Floats
+    frames: NDArray[np.int64]
     counts: Bools
     ego: Floats
     moving: Bools

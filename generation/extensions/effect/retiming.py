@@ -29,9 +29,10 @@ from benchmark.scene import Scene
 from generation.extensions.effect.edits import SpeedLaw, compute_stations, list_laws, scale_law
 from generation.extensions.effect.paths import LaneGraph, VehiclePath, list_lane_paths, list_recorded_paths
 from generation.extensions.effect.pressure import EgoPlans
-from generation.search.hyperparameters import CandidateProposal, HyperParameters
+from generation.search.hyperparameters import HyperParameters
 from generation.search.recorded_ego_path import get_ego_path
-from generation.search.recorded_motion import compute_initial_state, is_driving_forward, is_vulnerable
+from generation.search.recorded_motion import AHEAD_S, compute_initial_state, is_driving_forward, is_vulnerable
+from generation.search.threat_settings import CandidateProposal
 
 EVERY_S: Final = 1.0
 """Between the frames from which edits start; twice that where paths are not recorded."""
@@ -42,7 +43,6 @@ MOST_ALIKE: Final = 2
 """Edits of one path from one frame that are looked at further."""
 MOST_PLACED, MOST_DRIVEN = 60, 8
 """Edits of a vehicle that are looked at for contacts, and of them those that the simulator drives."""
-AHEAD_S: Final = 8.0
 OVER_M: Final = 10.0
 MEETING_M: Final = 3.0
 """A path meets the ego's where it comes so near to where the ego is in the next 8 s, or a little farther on."""
@@ -258,14 +258,17 @@ class Retiming:
 
     def _find_strongest(self, edit: Edit) -> tuple[float, RetimedTrack] | None:
         """The strongest form of an edit that is clear, and how strong it is: it passes the ego as near as it may."""
-        best, high = None, np.inf
+        best: tuple[float, RetimedTrack] | None = None
+        high: float | None = None
         for strength in STRENGTHS:
             track = self._drive(edit, strength)
             if track is None:
                 high = strength
                 break
             best = strength, track
-        for _ in range(BISECTIONS if best is not None and np.isfinite(high) else 0):
+        if best is None or high is None:
+            return best
+        for _ in range(BISECTIONS):
             middle = 0.5 * (best[0] + high)
             track = self._drive(edit, middle)
             if track is None:

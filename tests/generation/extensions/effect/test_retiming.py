@@ -14,7 +14,8 @@ from generation.extensions.effect.paths import LaneGraph, VehiclePath, list_lane
 from generation.extensions.effect.pressure import EgoPlans
 from generation.extensions.effect.retiming import LEVELS, RetimedTrack, Retiming, iterate_retimings
 from generation.search.candidates import ExclusionReason, find_exclusion_reason
-from generation.search.hyperparameters import CandidateProposal, HyperParameters
+from generation.search.hyperparameters import HyperParameters
+from generation.search.threat_settings import CandidateProposal
 from tests.hand_made import Car, scene_on_straight_road, straight_road
 
 RETIMED = HyperParameters(proposal=CandidateProposal.RETIMED, shortest_drive_frames=36)

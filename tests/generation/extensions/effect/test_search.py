@@ -15,7 +15,8 @@ from benchmark.records.attempts import ATTEMPTS_FILE, read_attempts
 from generation.pipeline.panel import PlannerPanel
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import build_split
-from generation.search.hyperparameters import CandidateProposal, HyperParameters
+from generation.search.hyperparameters import HyperParameters
+from generation.search.threat_settings import CandidateProposal
 from generation.splits.building import build_frozen
 from generation.splits.packaged import read_frozen_split
 from tests.generation.labels.recorded_roads import CHEAP, contents, recorded, write_source
