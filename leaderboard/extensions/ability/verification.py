@@ -30,6 +30,8 @@ _MATRICES: Final[dict[str, Outcome]] = {"binary": "contact", "zoib": "score", "g
 """Kinds of outcomes by the first word of a matrix' name."""
 _LEAST: Final = 3000
 """Draws of each chain, twice as many as the stored posteriors have."""
+_SMALL: Final = 500
+"""Matrices of fewer cells get twice as many: discriminations have long tails there, and means of them wander."""
 _SECONDS: Final = 900.0
 _BATCH: Final = 100
 _ITEMS: Final = {"alpha": "discriminations", "beta": "difficulties"}
@@ -59,7 +61,9 @@ def compare_matrices(comparison: Comparison, golden: GoldenFolder) -> None:
 
     for folder in folders:
         kind = _MATRICES[folder.name.partition("-")[0]]
-        posterior = fit_posterior(read_matrix(folder, kind), max_seconds=_SECONDS, least_draws=_LEAST)
+        matrix = read_matrix(folder, kind)
+        least = _LEAST if matrix.values.size >= _SMALL else 2 * _LEAST
+        posterior = fit_posterior(matrix, max_seconds=_SECONDS, least_draws=least)
         compare_posterior(comparison.at(folder.name), posterior, GoldenFolder(folder).facts("posterior.json"))
 
 
