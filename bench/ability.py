@@ -59,7 +59,7 @@ def find_ranks(values: Floats) -> Any:
 
 
 def measure(truth: Floats, posterior: Posterior) -> dict[str, Any]:
-    """Whether intervals of one replicate hold the truth (shares), and which pairs are told apart, rightly or wrongly."""
+    """Shares of intervals of one replicate that hold the truth, and of pairs told apart, rightly or wrongly."""
     theta, centred, matrix = posterior.flat("theta"), posterior.contrasts, posterior.matrix
     held = {}
     for name, draws, true in (("theta", theta, truth), ("contrast", centred, truth - truth.mean())):
@@ -131,7 +131,7 @@ def main() -> None:
     for name, default in sizes.items():
         parser.add_argument(f"--{name}", type=int, default=default)
     parser.add_argument("--max-seconds", type=float, default=600.0, help="of a replicate's chains")
-    parser.add_argument("--to", type=Path, required=True, help="file of a line a replicate, gone on with where it exists")
+    parser.add_argument("--to", type=Path, required=True, help="a line a replicate; gone on with if it exists")
     given = parser.parse_args()
     of = [given.outcome, given.planners, given.scenes, given.recordings, given.next, given.seed]
     done = [json.loads(line) for line in given.to.read_text().splitlines()] if given.to.is_file() else []

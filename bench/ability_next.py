@@ -12,11 +12,11 @@ from benchmark.geometry import Floats
 from benchmark.records.run_schema import PlannerFacts
 from leaderboard.extensions.ability.fit import AbilityFit, summarise_posterior
 from leaderboard.extensions.ability.likelihood import (
+    NUMPY,
     ScoreItem,
     clip_scores,
     compute_binary_log_likelihood,
     compute_score_log_likelihood,
-    make_mathematics,
 )
 from leaderboard.extensions.ability.next_scenes import choose_next_scenes
 from leaderboard.extensions.ability.outcomes import GatheredOutcomes, Measured, PlannerOutcomes
@@ -47,7 +47,7 @@ class Newcomer:
 
     def add(self, scene: int, value: float) -> None:
         """One more outcome."""
-        own, use, at = {name: values[:, scene] for name, values in self._items.items()}, make_mathematics(), value
+        own, use, at = {name: values[:, scene] for name, values in self._items.items()}, NUMPY, value
         alpha = np.exp(own.pop("log_alpha"))
         if self.fit.kind == "contact":
             log_likelihood = compute_binary_log_likelihood(at, alpha, self._ability, own["beta"], use)
@@ -90,9 +90,8 @@ class Newcomer:
 def summarise_fit(posterior: Posterior) -> AbilityFit:
     """The fit that the product would store."""
     matrix = posterior.matrix
-    planners = {
-        name: PlannerOutcomes(PlannerFacts(name=name, privileged=False, miniature=False), {}) for name in matrix.planners
-    }
+    facts = {name: PlannerFacts(name=name, privileged=False, miniature=False) for name in matrix.planners}
+    planners = {name: PlannerOutcomes(own, {}) for name, own in facts.items()}
     kind = "contact" if matrix.outcome == "contact" else "score"
     sources = dict(zip(matrix.scenes, matrix.recordings))
     measured = Measured("simulated", "adv", "open", kind)

@@ -23,13 +23,9 @@ _STIRLING: Final = (1 / 12, -1 / 360, 1 / 1260, -1 / 1680, 1 / 1188, -691 / 3603
 
 @dataclass(frozen=True, slots=True)
 class Mathematics:
-    """Array functions of a library, so that what is sampled is the likelihood whose cells are checked.
-
-    ``np`` has the array functions, ``special`` those of ``scipy.special``.
-    """
+    """Array functions of a library, so that what is sampled is the likelihood whose cells are checked."""
 
     np: Any
-    special: Any
 
     def log_sigmoid(self, x: Any) -> Any:
         """The log of σ(x), stable far out on both sides."""
@@ -54,11 +50,7 @@ class Mathematics:
         return (at - 0.5) * self.np.log(at) - at + 0.5 * np.log(2.0 * np.pi) + series / at, rise
 
 
-def make_mathematics() -> Mathematics:
-    """NumPy and SciPy."""
-    from scipy import special
-
-    return Mathematics(np, special)
+NUMPY: Final = Mathematics(np)
 
 
 class ScoreItem(NamedTuple):
@@ -136,10 +128,11 @@ class ScoreGradients(NamedTuple):
 
 def compute_score_gradients(x: Floats, t: Floats, item: ScoreItem) -> ScoreGradients:
     """Gradients of `compute_score_log_likelihood` in closed form, of the shape of ``x``."""
-    use = make_mathematics()
-    sigmoid, digamma = use.special.expit, use.special.digamma
+    from scipy.special import digamma
+    from scipy.special import expit as sigmoid
+
     lower, upper = sigmoid(t - item.g0), sigmoid(item.g0 + item.apart - t)
-    a, b = _beta_shapes(t, item, use)
+    a, b = _beta_shapes(t, item, NUMPY)
     inner = np.where((x == 0.0) | (x == 1.0), 0.5, x)
     by_a = a * (np.log(inner) - digamma(a) + digamma(a + b))
     by_b = b * (np.log1p(-inner) - digamma(b) + digamma(a + b))
@@ -161,7 +154,9 @@ def compute_score_gradients(x: Floats, t: Floats, item: ScoreItem) -> ScoreGradi
 
 def compute_binary_information(alpha: Floats, ability: Floats, beta: Floats) -> Floats:
     """Fisher information about the ability: α² P (1 - P)."""
-    safe = make_mathematics().special.expit(alpha * (ability - beta))
+    from scipy.special import expit
+
+    safe = expit(alpha * (ability - beta))
     return np.asarray(alpha**2 * safe * (1.0 - safe))
 
 
@@ -170,11 +165,12 @@ def compute_score_information(t: Floats, item: ScoreItem) -> Floats:
 
     Of the three masses Σ P'² / P, and what the Beta part adds where the score is between.
     """
-    special = make_mathematics().special
+    from scipy import special
+
     lower, upper = special.expit(t - item.g0), special.expit(t - item.g0 - item.apart)
     slope_lower, slope_upper = lower * (1.0 - lower), upper * (1.0 - upper)
     between = lower * (1.0 - upper) * -np.expm1(-item.apart)
-    a, b = _beta_shapes(t, item, make_mathematics())
+    a, b = _beta_shapes(t, item, NUMPY)
     trigamma = special.polygamma
     of_beta = (a**2 * trigamma(1, a) + b**2 * trigamma(1, b) - (a - b) ** 2 * trigamma(1, a + b)) / 4.0
     # P'^2 / P at the ends, without the quotient: P' = P (1 - P).
@@ -185,6 +181,7 @@ def compute_score_information(t: Floats, item: ScoreItem) -> Floats:
 
 def compute_expected_score(t: Floats, item: ScoreItem) -> Floats:
     """Mean of the score's distribution."""
-    special = make_mathematics().special
+    from scipy import special
+
     lower, upper = special.expit(t - item.g0), special.expit(t - item.g0 - item.apart)
     return np.asarray(upper + (lower - upper) * special.expit(t - item.beta))

@@ -18,13 +18,13 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.extension import require_package
 from leaderboard.extensions.ability.likelihood import (
+    NUMPY,
     Mathematics,
     ScoreItem,
     clip_scores,
     compute_binary_log_likelihood,
     compute_ordered_log_likelihood,
     compute_score_log_likelihood,
-    make_mathematics,
 )
 from leaderboard.extensions.ability.matrix import OutcomeMatrix
 from leaderboard.extensions.ability.posterior import Posterior
@@ -195,10 +195,9 @@ class CompiledChains:
     def of(cls, model: JointModel) -> "CompiledChains":
         """Chains of a model."""
         import jax
-        from jax.scipy import special
         from numpyro.infer.hmc import hmc
 
-        use = Mathematics(jax.numpy, special)
+        use = Mathematics(jax.numpy)
         start, sample = hmc(potential_fn_gen=lambda x: model.make_potential(use, x), algo="NUTS")
 
         def begin(variables: Any, keys: Any, x: Any) -> Any:
@@ -277,7 +276,7 @@ def fit_posterior(
             if warm:
                 warm -= 1
                 continue
-            block = {name: np.asarray(values) for name, values in model.build(variables, make_mathematics()).items()}
+            block = {name: np.asarray(values) for name, values in model.build(variables, NUMPY).items()}
             blocks.append({**block, "diverged": np.asarray(diverged)})
             drawn += BLOCK
             if drawn >= least_draws and drawn % (5 * BLOCK) == 0:

@@ -13,12 +13,12 @@ from benchmark.untrusted.files import JSON, read_file
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden_sets import GoldenFolder, GoldenSet
 from leaderboard.extensions.ability.likelihood import (
+    NUMPY,
     ScoreItem,
     clip_scores,
     compute_score_gradients,
     compute_score_information,
     compute_score_log_likelihood,
-    make_mathematics,
 )
 from leaderboard.extensions.ability.matrix import Outcome, OutcomeMatrix
 from leaderboard.extensions.ability.posterior import Posterior, rank_draws
@@ -43,7 +43,7 @@ def compare_cells(comparison: Comparison, golden: GoldenFolder) -> None:
     columns = {name: np.array([cell[name] for cell in cells], np.float64) for name in cells[0]}
     x, t = clip_scores(columns["x"]), columns["t"]
     item = ScoreItem(columns["beta"], columns["omega"], columns["g0"], columns["D"])
-    ours = {"loglik": compute_score_log_likelihood(x, t, item, make_mathematics())}
+    ours = {"loglik": compute_score_log_likelihood(x, t, item, NUMPY)}
     gradients = compute_score_gradients(x, t, item)
     ours |= dict(zip(("d_t", "d_beta", "d_omega", "d_g0", "d_D"), gradients, strict=True))
     ours["information_about_t"] = compute_score_information(t, item)
