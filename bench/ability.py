@@ -112,7 +112,9 @@ def summarise(lines: list[dict[str, Any]]) -> dict[str, Any]:
     agreed = [line for line in lines if "refused" not in line]
     found: dict[str, Any] = {"replicates": len(lines), "agreed": len(agreed)}
     found["cpu_s"] = round(sum(line["cpu_s"] for line in lines), 1)
-    if agreed and "adaptive" in agreed[0]:
+    if not agreed:
+        return found
+    if "adaptive" in agreed[0]:
         return found | summarise_newcomers(agreed)
     measured = [name for name, value in agreed[0].items() if isinstance(value, float | int)]
     means = {name: float(np.mean([line[name] for line in agreed])) for name in measured}

@@ -19,7 +19,7 @@ from leaderboard.extensions.ability.likelihood import (
     compute_score_log_likelihood,
 )
 from leaderboard.extensions.ability.next_scenes import choose_next_scenes
-from leaderboard.extensions.ability.outcomes import GatheredOutcomes, Measured, PlannerOutcomes
+from leaderboard.extensions.ability.outcomes import GatheredOutcomes, Kind, Measured, PlannerOutcomes
 from leaderboard.extensions.ability.posterior import Posterior
 
 MOST: Final = 40
@@ -47,13 +47,13 @@ class Newcomer:
 
     def add(self, scene: int, value: float) -> None:
         """One more outcome."""
-        own, use, at = {name: values[:, scene] for name, values in self._items.items()}, NUMPY, value
+        own = {name: values[:, scene] for name, values in self._items.items()}
         alpha = np.exp(own.pop("log_alpha"))
         if self.fit.kind == "contact":
-            log_likelihood = compute_binary_log_likelihood(at, alpha, self._ability, own["beta"], use)
+            log_likelihood = compute_binary_log_likelihood(value, alpha, self._ability, own["beta"], NUMPY)
         else:
-            at = clip_scores(np.array(value))
-            log_likelihood = compute_score_log_likelihood(at, alpha * self._ability, ScoreItem(**own), use)
+            score = clip_scores(np.array(value))
+            log_likelihood = compute_score_log_likelihood(score, alpha * self._ability, ScoreItem(**own), NUMPY)
         recording = self._of_scene[scene]
         self._of_recording[recording] += log_likelihood
         self._summed[recording] = np.logaddexp.reduce(self._of_recording[recording] + self._log_weights, axis=-1)
@@ -92,7 +92,7 @@ def summarise_fit(posterior: Posterior) -> AbilityFit:
     matrix = posterior.matrix
     facts = {name: PlannerFacts(name=name, privileged=False, miniature=False) for name in matrix.planners}
     planners = {name: PlannerOutcomes(own, {}) for name, own in facts.items()}
-    kind = "contact" if matrix.outcome == "contact" else "score"
+    kind: Kind = "contact" if matrix.outcome == "contact" else "score"
     sources = dict(zip(matrix.scenes, matrix.recordings))
     measured = Measured("simulated", "adv", "open", kind)
     return summarise_posterior(posterior, GatheredOutcomes(measured, "0" * 64, planners, sources, ()))
@@ -101,20 +101,17 @@ def summarise_fit(posterior: Posterior) -> AbilityFit:
 def run_newcomers(posterior: Posterior, outcomes: Floats, rng: np.random.Generator) -> dict[str, Any]:
     """Deviations of each newcomer's ability after 1, 2, ... scenes, chosen and in random order."""
     fit = summarise_fit(posterior)
-    adaptive, shuffled = [], []
+    found: dict[str, list[list[float]]] = {"adaptive": [], "random": []}
     for row in outcomes:
-        newcomer, deviations = Newcomer(fit), []
-        for _ in range(min(MOST, len(row))):
-            scene = newcomer.choose()
-            newcomer.add(scene, float(row[scene]))
-            deviations.append(round(newcomer.deviation, 4))
-        adaptive.append(deviations)
-        newcomer, deviations = Newcomer(fit), []
-        for scene in rng.permutation(len(row)).tolist():
-            newcomer.add(scene, float(row[scene]))
-            deviations.append(round(newcomer.deviation, 4))
-        shuffled.append(deviations)
-    return {"adaptive": adaptive, "random": shuffled, "r_hat": posterior.r_hat}
+        order = rng.permutation(len(row)).tolist()
+        for name, count in (("adaptive", min(MOST, len(row))), ("random", len(row))):
+            newcomer, deviations = Newcomer(fit), []
+            for at in range(count):
+                scene = newcomer.choose() if name == "adaptive" else order[at]
+                newcomer.add(scene, float(row[scene]))
+                deviations.append(round(newcomer.deviation, 4))
+            found[name].append(deviations)
+    return {**found, "r_hat": posterior.r_hat}
 
 
 def summarise_newcomers(lines: list[dict[str, Any]]) -> dict[str, Any]:
