@@ -7,6 +7,7 @@ ability, with what it has with each recording integrated out, and with every dra
 from typing import Any, Final
 
 import numpy as np
+from scipy import special
 
 from benchmark.geometry import Floats
 from benchmark.records.run_schema import PlannerFacts
@@ -33,7 +34,7 @@ class Newcomer:
 
     def __init__(self, fit: AbilityFit) -> None:
         self.fit = fit
-        nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
+        nodes, weights = special.roots_hermitenorm(NODES)
         self._log_weights = np.log(weights / weights.sum())
         names, self._of_scene = fit.matrix.places
         drawn = len(fit.kept.theta)
