@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Preset = Literal["default", "effect", "near", "paper", "reference"]
 PRESETS: Final[tuple[Preset, ...]] = ("default", "effect", "near", "paper", "reference")
-PROPOSED_VEHICLES, PROPOSED_TRIES = 40, 3
+PROPOSED_VEHICLES, PROPOSED_TRIES = 120, 6
 """Vehicles of a scene whose edits are looked at, and edits of one that are judged."""
 SampleSource = Literal["fresh", "reference", "stored"]
 
@@ -44,7 +44,7 @@ def build_default_settings() -> HyperParameters:
 def build_further_settings(
     preset: Preset, settings: Mapping[str, Any] | None = None, changes: Sequence[str] = ()
 ) -> tuple[HyperParameters, ...]:
-    """Settings of the further searches of a preset: of ``effect`` nearness, and edits of recorded paths and of lanes.
+    """Settings of the further searches of a preset: of ``effect`` nearness, and edits: of timing, lanes and side.
 
     Threat and nearness find different failures. What is changed in the first search is changed in those that have the
     same value; arguments and errors as of `build_hyper_parameters`.
@@ -64,7 +64,7 @@ def build_further_settings(
             solvable=near.solvable,
             **own,
         )
-        for proposal in (CandidateProposal.RETIMED, CandidateProposal.REROUTED)
+        for proposal in (CandidateProposal.RETIMED, CandidateProposal.REROUTED, CandidateProposal.SWERVED)
     ]
     first, names = build_hyper_parameters(preset), [change.partition("=")[0].strip() for change in changes]
     return tuple(

@@ -27,6 +27,7 @@ from benchmark.scene import Scene
 from generation.labels.labelling import compute_body_gaps, compute_ego_speed, read_agent_boxes
 from generation.search.hyperparameters import DiscardRules, HyperParameters
 from generation.search.recorded_motion import find_log_replay_contacts, is_in_canvas, is_vulnerable
+from generation.search.threat_settings import CandidateProposal
 from generation.splits.format import METRE_DIGITS, YAW_DIGITS
 
 
@@ -173,7 +174,7 @@ def verify(
         return VerificationFailure(DiscardReason.UNDRIVEABLE, quantity=quantity, value=value, limit=limit)
     return (
         _find_contact(scene, agent, start, boxes)
-        or (VerificationFailure(DiscardReason.EGO_BLOCKED) if ours and _is_blocking_ego(scene, boxes, hyper) else None)
+        or (VerificationFailure(DiscardReason.EGO_BLOCKED) if ours and is_blocking_ego(scene, boxes, hyper) else None)
         or _check_area(scene, agent, start, hyper)
         or (_check_road(scene, start, boxes, hyper) if ours and not is_vulnerable(scene, agent) else None)
         or _check_closeness(scene, agent, start, hyper)
@@ -196,6 +197,9 @@ def _find_contact(scene: Scene, agent: int, start: int, boxes: Floats) -> Verifi
 
 
 def _check_area(scene: Scene, agent: int, start: int, hyper: HyperParameters) -> VerificationFailure | None:
+    """The area is what the diffusion model sees; who follows a path may leave it, as everybody who comes towards does."""
+    if hyper.proposal is not CandidateProposal.SAMPLED:
+        return None
     out = np.flatnonzero(~is_in_canvas(scene, scene.agents.position[agent, :, :2], hyper.half_extent_m)[start:])
     return VerificationFailure(DiscardReason.LEAVES_AREA, start + int(out[0])) if len(out) else None
 
@@ -273,7 +277,7 @@ def find_contacts(
     return step[hit], other[hit]
 
 
-def _is_blocking_ego(scene: Scene, boxes: Floats, hyper: HyperParameters) -> bool:
+def is_blocking_ego(scene: Scene, boxes: Floats, hyper: HyperParameters) -> bool:
     """Whether the ego would hit the adversary after the last frame although it brakes hard on its heading.
 
     The recorded ego needs no way out while the recording lasts; this asks for one where it ends. An adversary behind
@@ -296,10 +300,23 @@ def _is_blocking_ego(scene: Scene, boxes: Floats, hyper: HyperParameters) -> boo
     return bool(boxes_overlap(stopping, other).any())
 
 
-def _check_road(scene: Scene, start: int, boxes: Floats, hyper: HyperParameters) -> VerificationFailure | None:
+def measure_off_road(scene: Scene, boxes: Floats, hyper: HyperParameters) -> tuple[Bools, Bools]:
+    """Whether the centre, and any corner, of (F, 5) boxes is off the road at each frame.
+
+    With ``behaviour`` the way out of a driveway or from a kerb does not count: up to the first frame at which all of
+    the body is on the road, if that comes.
+    """
     shapely.prepare(scene.road_map.drivable_area)
     center_off = ~scene.road_map.is_drivable(boxes[:, :2])
     corner_off = ~scene.road_map.is_drivable(box_corners(boxes)).all(axis=-1)
+    if hyper.behaviour and not corner_off.all():
+        first = int(np.argmin(corner_off))
+        center_off[:first] = corner_off[:first] = False
+    return center_off, corner_off
+
+
+def _check_road(scene: Scene, start: int, boxes: Floats, hyper: HyperParameters) -> VerificationFailure | None:
+    center_off, corner_off = measure_off_road(scene, boxes, hyper)
     for quantity, off, most in (
         ("share of frames with the centre off the road", center_off, hyper.most_off_road_share),
         ("share of frames with a corner off the road", corner_off, hyper.most_corner_off_road_share),

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmark.constants import FRAME_HZ
 from benchmark.dynamics.bicycle import ACCELERATION_LAG_S
@@ -21,7 +22,7 @@ FASTER: Final = (1.0, 1.1, 1.2)
 """An edit that goes early: how hard, and up to which multiple of its own highest speed."""
 LANE_SPEEDS_M_S: Final = (3.0, 4.5, 6.0, 7.5, 9.0, 11.0)
 """Speeds at which a vehicle drives a path that it did not drive."""
-NOSE_M_S, NOSE_HELD_S = 2.5, tuple(np.arange(0.0, 3.01, 0.25).tolist())
+NOSE_M_S, NOSE_HELD_S = 2.5, tuple(np.arange(0.0, 3.01, 0.5).tolist())
 """An edit that edges out and waits: how fast, and how long before it stops."""
 BRAKING_FROM_M_S: Final = 2.0
 """Slower ones do not brake, and may edge out."""
@@ -75,12 +76,18 @@ def scale_law(law: SpeedLaw, before: float, strength: float) -> SpeedLaw:
     return replace(law, change=min(law.change * strength, ACCELERATION_M_S2[-1]))
 
 
-def compute_stations(path: VehiclePath, laws: Sequence[SpeedLaw], start_speed: float, frames: int) -> Floats:
-    """(B, F) metres along a path by each of B laws at F frames, slower where the path bends."""
+def compute_stations(
+    paths: Sequence[VehiclePath], rows: NDArray[np.int64], laws: Sequence[SpeedLaw], start_speed: float, frames: int
+) -> Floats:
+    """(B, F) metres along paths by B laws at F frames, slower where they bend; ``rows`` (B,) are the paths of the laws.
+
+    All of them at once: most of the time would go into the calls, one a frame.
+    """
     change, target, held, then = (
         np.array([getattr(law, name) for law in laws]) for name in ("change", "target", "held_s", "then")
     )
-    bends, speed = _compute_bend_speed(path), np.full(len(laws), start_speed)
+    bends, speed = _compute_bend_speeds(paths), np.full(len(laws), start_speed)
+    last = bends.shape[1] - 2
     acceleration, reached = np.zeros(len(laws)), np.full(len(laws), np.inf)
     station, step = np.zeros((len(laws), frames)), 1.0 / FRAME_HZ
     for frame in range(1, frames):
@@ -89,7 +96,10 @@ def compute_stations(path: VehiclePath, laws: Sequence[SpeedLaw], start_speed: f
         wanted = np.where(back, then, target)
         most = np.where(back, RECOVERY_M_S2, np.abs(change))
         reached = np.where(np.isinf(reached) & (np.abs(speed - target) <= REACHED_M_S), now, reached)
-        bend = np.interp(station[:, frame - 1], SPACING_M * np.arange(len(bends)), bends)
+        along = station[:, frame - 1] / SPACING_M
+        index = np.minimum(along.astype(np.int64), last)
+        share = np.minimum(along - index, 1.0)
+        bend = (1.0 - share) * bends[rows, index] + share * bends[rows, index + 1]
         most = np.where(bend < np.minimum(wanted, speed), SLOWING_M_S2, most)
         asked = np.clip((np.minimum(wanted, bend) - speed) / SETTLING_S, -most, most)
         acceleration = acceleration + LAG_SHARE * (asked - acceleration)
@@ -98,9 +108,11 @@ def compute_stations(path: VehiclePath, laws: Sequence[SpeedLaw], start_speed: f
     return station
 
 
-def _compute_bend_speed(path: VehiclePath) -> Floats:
-    """(V,) m/s at which a path can be driven, slowed down for bends ahead."""
-    speed = np.sqrt(ACROSS_M_S2 / np.maximum(np.abs(path.curvature), 1e-3))
-    for index in range(len(speed) - 2, -1, -1):
-        speed[index] = min(speed[index], np.sqrt(speed[index + 1] ** 2 + 2 * SLOWING_M_S2 * SPACING_M))
+def _compute_bend_speeds(paths: Sequence[VehiclePath]) -> Floats:
+    """(P, V) m/s at which paths can be driven, slowed down for bends ahead; the last one goes on behind a path's end."""
+    most = max(len(path.points) for path in paths)
+    curvature = np.stack([np.pad(path.curvature, (0, most - len(path.points)), mode="edge") for path in paths])
+    speed = np.sqrt(ACROSS_M_S2 / np.maximum(np.abs(curvature), 1e-3))
+    for index in range(most - 2, -1, -1):
+        speed[:, index] = np.minimum(speed[:, index], np.sqrt(speed[:, index + 1] ** 2 + 2 * SLOWING_M_S2 * SPACING_M))
     return np.asarray(speed)

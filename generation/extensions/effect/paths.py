@@ -19,19 +19,25 @@ EXTENSION_M: Final = 80.0
 LANE_REACH_M: Final = 3.0
 LANE_TURN_RAD: Final = np.deg2rad(45.0)
 """A vehicle this near a centre line, and turned from it by less, is on that lane."""
-JOIN_M: Final = (10.0, 20.0)
-"""How far ahead, along a lane, it is joined."""
+JOIN_M: Final = (9.0, 14.0, 22.0, 35.0)
+"""How far ahead, along a lane, it is joined; the first two of them that take at least `JOIN_S` at its speed."""
+JOIN_S: Final = 1.2
 JOIN_ASIDE_M: Final = 8.0
 JOIN_TURN_RAD: Final = np.deg2rad(100.0)
 """Largest angle between a vehicle and the lane that it joins; a right turn out of a driveway."""
-TIGHTEST_1_M: Final = 1 / 6.0
-"""Curvature that a car manages at walking pace."""
-MOST_LANES: Final = 4
-MOST_ROUTES: Final = 3
+U_TURN_M: Final = (9.0, 18.0)
+"""How far aside, at least and at most, lanes of the other way lie that a U-turn ends in."""
+U_TURN_M_S: Final = 5.0
+"""Faster ones make no U-turn."""
+TIGHTEST_1_M: Final = 1 / 4.3
+"""Curvature that a car manages at walking pace; the tightest of the simulator is 1/4.0."""
+MOST_LANES, MOST_U_TURNS = 4, 2
+MOST_ROUTES: Final = 4
+ALIKE_M: Final = 1.0
 """Ways on from one place, of those that branch."""
 LEAST_STEP_M: Final = 0.3
 
-PathKind = Literal["recorded", "lane", "joins"]
+PathKind = Literal["recorded", "lane", "joins", "turns"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,11 +62,22 @@ class VehiclePath:
             return None
         points = np.column_stack([np.interp(stations, way, line[:, axis]) for axis in range(2)])
         points[2:-2] = sum(points[shift : len(points) - 4 + shift] for shift in range(5)) / 5.0
+        return cls._through(kind, points)
+
+    @classmethod
+    def _through(cls, kind: PathKind, points: Floats) -> Self | None:
         headings = np.unwrap(np.arctan2(*np.gradient(points, axis=0).T[::-1]))
         curvature = np.gradient(headings, SPACING_M)
         if np.abs(curvature[2:-2]).max(initial=0.0) > TIGHTEST_1_M:
             return None
         return cls(kind, points, headings, curvature)
+
+    def swerved(self, at_m: float, reach_m: float, aside_m: float) -> Self | None:
+        """The same, so many metres farther left at a station, from ``reach_m`` before it to as much behind it."""
+        along = SPACING_M * np.arange(len(self.points)) - at_m
+        away = aside_m * np.where(np.abs(along) < reach_m, 0.5 + 0.5 * np.cos(np.pi * along / reach_m), 0.0)
+        left = np.column_stack([-np.sin(self.headings), np.cos(self.headings)])
+        return self._through(self.kind, self.points + away[:, None] * left)
 
     def at(self, station: Floats) -> Floats:
         """(..., 3) poses at stations in metres; past the end it goes straight on."""
@@ -150,30 +167,55 @@ def list_recorded_paths(scene: Scene, agent: int, frame: int, graph: LaneGraph) 
         yield path
 
 
-def list_lane_paths(scene: Scene, agent: int, frame: int, graph: LaneGraph) -> Iterator[VehiclePath]:
-    """Paths from a frame on along lanes: the own one, its branches, and those that are joined from beside."""
+def list_lane_paths(
+    scene: Scene, agent: int, frame: int, speed: float, graph: LaneGraph
+) -> Iterator[VehiclePath]:
+    """Paths from a frame on along lanes: the own one, its branches, those joined from beside, and those turned into.
+
+    ``speed`` is that at the frame, m/s.
+    """
     agents = scene.agents
     pose = np.array([*agents.position[agent, frame, :2], agents.yaw[agent, frame]])
     axle = compute_rear_axle(pose, float(agents.size[agent, 0]))
+    seen: set[bytes] = set()
+    for kind, start, route in _list_joined(pose, speed, graph):
+        rest = _skip(route, start)
+        if len(rest) < 2:
+            continue
+        # Half a circle is a cubic with derivatives of twice its diameter at both ends.
+        joined = _join(axle, rest, 2.0 if kind == "turns" else 1.0)
+        path = VehiclePath.of(kind, np.concatenate([joined, rest[1:]]))
+        key = b"" if path is None else np.rint(path.points[::10] / ALIKE_M).tobytes()
+        if path is not None and key not in seen:
+            seen.add(key)
+            yield path
+
+
+def _list_joined(pose: Floats, speed: float, graph: LaneGraph) -> Iterator[tuple[PathKind, float, Floats]]:
+    """Kind, metres of it that are cut off, and line of each lane that a vehicle at a (3,) pose may join."""
+    joins = [ahead for ahead in JOIN_M if ahead >= JOIN_S * speed][:2] or [JOIN_M[-1]]
     for name, station, distance in graph.find_places(pose, JOIN_ASIDE_M, JOIN_TURN_RAD)[:MOST_LANES]:
-        kind: PathKind = "lane" if distance <= 1.0 else "joins"
-        for ahead in JOIN_M:
-            for route in graph.list_routes(name, station, EXTENSION_M + ahead):
-                rest = _skip(route, ahead)
-                if len(rest) < 2:
-                    continue
-                path = VehiclePath.of(kind, np.concatenate([_join(axle, rest), rest[1:]]))
-                if path is not None:
-                    yield path
+        for route in graph.list_routes(name, station, EXTENSION_M + joins[-1]):
+            for ahead in joins[:1] if distance <= 1.0 else joins:
+                yield "lane" if distance <= 1.0 else "joins", ahead, route
+    back = pose + [0.0, 0.0, np.pi]
+    other_way = [
+        (name, station)
+        for name, station, distance in graph.find_places(back, U_TURN_M[1], LANE_TURN_RAD)
+        if distance >= U_TURN_M[0]
+    ]
+    for name, station in other_way[:MOST_U_TURNS] if speed < U_TURN_M_S else ():
+        for route in graph.list_routes(name, station, EXTENSION_M)[:1]:
+            yield "turns", 2.0, route
 
 
-def _join(start: Floats, rest: Floats) -> Floats:
+def _join(start: Floats, rest: Floats, stretched: float) -> Floats:
     """(M, 2) cubic from a (3,) pose to the beginning of a line, along both directions."""
     step = rest[1] - rest[0]
     chord = float(np.hypot(*(rest[0] - start[:2])))
-    leave = chord * np.array([np.cos(start[2]), np.sin(start[2])])
-    arrive = chord * step / max(float(np.hypot(*step)), 1e-9)
-    t = np.linspace(0.0, 1.0, max(round(chord), 4))[:, None]
+    leave = stretched * chord * np.array([np.cos(start[2]), np.sin(start[2])])
+    arrive = stretched * chord * step / max(float(np.hypot(*step)), 1e-9)
+    t = np.linspace(0.0, 1.0, max(round(1.6 * chord), 4))[:, None]
     basis = (2 * t**3 - 3 * t**2 + 1, t**3 - 2 * t**2 + t, -2 * t**3 + 3 * t**2, t**3 - t**2)
     return np.asarray(basis[0] * start[:2] + basis[1] * leave + basis[2] * rest[0] + basis[3] * arrive)
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import PLAN_STEP_S
-from benchmark.geometry import Bools, Floats, boxes_overlap
+from benchmark.geometry import Bools, Floats, boxes_overlap, to_local
 from benchmark.scene import Scene
 from generation.search.recorded_ego_path import get_ego_path
 
@@ -84,5 +84,8 @@ class EgoPlans:
             away = boxes[:, at, :2] - plans[:, plan, :2]
             row, column = np.nonzero(away[..., 0] ** 2 + away[..., 1] ** 2 <= size**2)
             hit = boxes_overlap(boxes[row, at[column]], plans[column, plan])
+            # Who is run into from behind did not run into anybody.
+            ahead = to_local(boxes[row, at[column], :2], plans[column, plan][:, [0, 1, 4]])[..., 0]
+            hit &= ahead > -0.5 * plans[column, plan, 2]
             touched[row[hit], sample[column[hit]], plan] = True
         return np.asarray(touched.mean(axis=(1, 2)))

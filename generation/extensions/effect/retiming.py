@@ -1,86 +1,80 @@
-"""Recorded and lane paths with other timing: candidates beside those of the diffusion model (``docs/generation.md``).
+"""Recorded and lane paths with other timing, and swerves: candidates beside those of the diffusion model.
 
 Each edit follows the recording up to a frame and then drives a path as a speed law says. Edits are looked at as points
 on their path first; those that would press the ego are driven by the simulator, so that they are motions of a car.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
 import shapely
 
-from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME
-from benchmark.dynamics.bicycle import (
-    REAR_AXLE_BEHIND_CENTER,
-    WHEELBASE,
-    MotionModel,
-    follow_path,
-)
-from benchmark.dynamics.reference_path import WAYPOINTS, build_reference_path
-from benchmark.geometry import Bools, Floats, box_corners, boxes_overlap, to_local
+from benchmark.constants import FRAME_HZ
+from benchmark.dynamics.bicycle import MotionModel
+from benchmark.geometry import Bools, Floats, box_gap, boxes_overlap, to_local
 from benchmark.interactions.driver_outcomes import CollisionChecker
 from benchmark.interactions.driver_simulation import DrivingSituation, ReferenceDriver, simulate_drivers
 from benchmark.interactions.reaction import Driver
 from benchmark.interactions.tracks import ContinuousTracks
 from benchmark.machine.identity_cache import IdentityCache
 from benchmark.scene import Scene
-from generation.extensions.effect.edits import SpeedLaw, compute_stations, list_laws, scale_law
+from generation.extensions.effect.driving import (
+    Edit,
+    RetimedTrack,
+    Swerve,
+    compute_recorded_stations,
+    drive_stations,
+    shift_to_center,
+)
+from generation.extensions.effect.edits import SpeedLaw, compute_stations, list_laws
 from generation.extensions.effect.paths import LaneGraph, VehiclePath, list_lane_paths, list_recorded_paths
 from generation.extensions.effect.pressure import EgoPlans
 from generation.search.hyperparameters import HyperParameters
 from generation.search.recorded_ego_path import get_ego_path
 from generation.search.recorded_motion import AHEAD_S, compute_initial_state, is_driving_forward, is_vulnerable
 from generation.search.threat_settings import CandidateProposal
+from generation.search.verify import compute_raster_footprints, is_blocking_ego, measure_off_road
 
 EVERY_S: Final = 1.0
-"""Between the frames from which edits start; twice that where paths are not recorded."""
+"""Between the frames from which edits start; twice that for who moves off its path."""
 AIR_M: Final = 0.25
-LEVELS: Final = (0.05, 0.015)
+OTHERS_AIR_M: Final = 0.12
+"""Kept from the ego, and from all others: rows of parked cars are narrow."""
+LEVELS: Final = (0.15, 0.1, 0.06, 0.03, 0.015, 0.005)
 """Shares of the ego's plans that an edit should touch: edits above the first level come before those above the next."""
 MOST_ALIKE: Final = 2
 """Edits of one path from one frame that are looked at further."""
-MOST_PLACED, MOST_DRIVEN = 60, 8
+MOST_PLACED, MOST_DRIVEN = 60, 5
 """Edits of a vehicle that are looked at for contacts, and of them those that the simulator drives."""
 OVER_M: Final = 10.0
 MEETING_M: Final = 3.0
 """A path meets the ego's where it comes so near to where the ego is in the next 8 s, or a little farther on."""
 LEAST_MOVED_M: Final = 0.5
 NEAR_M: Final = 25.0
-STRENGTHS: Final = (0.5, 0.8, 1.1, 1.5)
+STRENGTHS: Final = (0.3, 0.5, 0.7, 0.85, 1.0, 1.15, 1.35, 1.6)
 """Of an edit, times what was found on its path; a car is not exactly where a point would be."""
-BISECTIONS: Final = 6
-"""Of the interval between two of them: to less than a hundredth."""
-
-
-@dataclass(frozen=True, slots=True)
-class Edit:
-    """A path and a speed law from a ``start`` frame on; ``pressure`` and ``moved_m`` as found on its track."""
-
-    path: VehiclePath
-    start: int
-    law: SpeedLaw
-    pressure: float = 0.0
-    moved_m: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class RetimedTrack:
-    """(F, 3) poses of the box centre of an edit that was driven, from its ``start`` frame to the end of the scene."""
-
-    edit: Edit
-    poses: Floats
-
-    @property
-    def start(self) -> int:
-        """Frame of the launch."""
-        return self.edit.start
+FINER, REFINEMENTS = 3, 2
+"""Strengths between two neighbours of which one is better, and how often: to about a hundredth."""
+PASSING_M, BESIDE_M = 5.0, 1.5
+"""Gap at which a vehicle passes the ego, and how far aside that is at least."""
+SWERVING_S: Final = (1.5, 2.2, 3.0)
+LEAST_SWERVE_M: Final = 5.0
+"""Before the nearest moment, in which a vehicle swerves, and the way that it has for that at least."""
+SWERVED_SHARES: Final = (0.7, 0.85, 1.0)
+"""Of the gap that is left then."""
+MOST_PASSINGS, APART_S = 3, 3.0
 
 
 def _rank_edit(edit: Edit) -> tuple[int, float, int]:
     """Strong edits first, each level by how little it moves."""
-    return sum(edit.pressure < level for level in LEVELS), edit.moved_m, edit.start
+    return -_count_levels(edit.pressure), edit.moved_m, edit.start
+
+
+def _count_levels(pressure: float) -> int:
+    return sum(pressure >= level for level in LEVELS)
 
 
 class Retiming:
@@ -103,66 +97,123 @@ class Retiming:
 
     def find_tracks(self) -> Iterator[RetimedTrack]:
         """Driven edits in the order in which they should be judged."""
+        found: list[RetimedTrack] = []
         driven = 0
-        for edit in self._find_edits()[:MOST_PLACED]:
-            if not self._is_clear(self._place(edit.path, edit.start, [edit.law]), edit.start)[0]:
-                continue
-            driven += 1
-            track = self._find_weakest(edit)
-            if track is not None and self._is_answered(track):
-                yield track
+        for edit in self.find_edits()[:MOST_PLACED]:
+            if self._is_clear(self._place([edit]), edit.start)[0]:
+                track = self.find_weakest(edit)
+                found += [] if track is None else [track]
+                driven += 1
             if driven >= MOST_DRIVEN:
-                return
+                break
+        for track in sorted(found, key=lambda track: _rank_edit(track.edit)):
+            if self._is_answered(track):
+                yield track
 
-    def _find_edits(self) -> list[Edit]:
+    def find_edits(self) -> list[Edit]:
         """Edits that press the ego as points on their path: strong ones first, each level by how little it moves."""
+        if self.hyper.proposal is CandidateProposal.SWERVED:
+            return self._select_by_start(self._list_swerves())
         found: list[Edit] = []
         for start in self._list_starts():
-            for path in self._list_paths(start):
-                laws = self._list_laws(path, start)
-                if not laws:
-                    continue
-                poses = self._place(path, start, laws)
-                found += self._select(path, start, laws, poses)
+            speed = self._speed_at(start)
+            edits = [
+                Edit(path, start, law)
+                for path in self._list_paths(start)
+                for law in list_laws(path.kind, speed, self._fastest)
+            ]
+            found += self._select(edits)
         return sorted(found, key=_rank_edit)
 
-    def _select(self, path: VehiclePath, start: int, laws: Sequence[SpeedLaw], poses: Floats) -> list[Edit]:
-        near = self._plans.are_near(poses, start)
-        moved = self._measure_moved(poses, start)
-        rows = np.flatnonzero(near & (moved >= LEAST_MOVED_M))
-        if not len(rows):
+    def _select_by_start(self, edits: Sequence[Edit]) -> list[Edit]:
+        found = [each for edit in edits for each in self._select([edit])]
+        return sorted(found, key=_rank_edit)
+
+    def _select(self, edits: Sequence[Edit]) -> list[Edit]:
+        """Of edits from one frame those that press the ego, at most so many of one path."""
+        if not edits:
             return []
-        pressure = np.zeros(len(poses))
-        pressure[rows] = self._plans.measure_pressure(self._box(poses[rows]), start)
+        start, poses = edits[0].start, self._place(edits)
+        rows = np.flatnonzero(self._plans.are_near(poses, start))
+        pressure, moved = np.zeros(len(poses)), np.zeros(len(poses))
+        moved[rows] = self._measure_moved(poses[rows], start)
+        rows = rows[moved[rows] >= self._least_moved_m]
+        if len(rows):
+            pressure[rows] = self._plans.measure_pressure(self._box(poses[rows]), start)
         rows = rows[pressure[rows] >= LEVELS[-1]]
         # The ego alone first: many edits that press it hit it, and the others are many.
         rows = rows[self._is_clear(poses[rows], start, ego_alone=True)] if len(rows) else rows
-        edits = [Edit(path, start, laws[row], float(pressure[row]), float(moved[row])) for row in rows.tolist()]
-        return sorted(edits, key=_rank_edit)[:MOST_ALIKE]
+        of_path: dict[int, list[Edit]] = {}
+        for row in rows.tolist():
+            edit = replace(edits[row], pressure=float(pressure[row]), moved_m=float(moved[row]))
+            of_path.setdefault(id(edit.path), []).append(edit)
+        return [edit for found in of_path.values() for edit in sorted(found, key=_rank_edit)[:MOST_ALIKE]]
+
+    @property
+    def _least_moved_m(self) -> float:
+        return 0.0 if self.hyper.proposal is CandidateProposal.SWERVED else LEAST_MOVED_M
 
     def _list_starts(self) -> list[int]:
         """Frames from which it may leave its recording: it has been there, drives forwards, and time is left."""
-        valid, hyper = self.scene.agents.valid[self.agent], self.hyper
-        step = round(EVERY_S * FRAME_HZ) * (1 if self.parked or hyper.proposal is CandidateProposal.RETIMED else 2)
-        frames = range(hyper.history_frames, self._last - hyper.shortest_drive_frames, step)
-        return [
-            frame
-            for frame in frames
-            if valid[frame - hyper.history_frames : frame + 1].all()
-            and is_driving_forward(self.scene, self.agent, frame)
-        ]
+        rerouted = self.hyper.proposal is CandidateProposal.REROUTED
+        step = round(EVERY_S * FRAME_HZ) * (2 if rerouted and not self.parked else 1)
+        frames = range(self.hyper.history_frames, self._last - self.hyper.shortest_drive_frames, step)
+        return [frame for frame in frames if self._can_start(frame)]
+
+    def _can_start(self, frame: int) -> bool:
+        history = self.hyper.history_frames
+        there = self.scene.agents.valid[self.agent, max(frame - history, 0) : frame + 1].all()
+        late = frame > self._last - self.hyper.shortest_drive_frames
+        return bool(history <= frame and not late and there) and is_driving_forward(self.scene, self.agent, frame)
+
+    def _list_swerves(self) -> list[Edit]:
+        """Its recorded path and timing, but towards the ego where it passes it, as near as may be."""
+        edits = []
+        for frame, gap, side in self._find_passings():
+            for seconds in SWERVING_S:
+                start = frame - round(seconds * FRAME_HZ)
+                if not self._can_start(start):
+                    continue
+                at_m = float(compute_recorded_stations(self.scene, self.agent, start, frame - start + 1)[-1])
+                if at_m < LEAST_SWERVE_M:
+                    continue
+                paths = list_recorded_paths(self.scene, self.agent, start, _get_graph(self.scene))
+                edits += [
+                    Edit(path, start, None, Swerve(at_m, at_m, side * share * (gap - AIR_M)))
+                    for path in list(paths)[:1]
+                    for share in SWERVED_SHARES
+                ]
+        return [edit for edit in edits if edit.driven_path() is not None]
+
+    def _find_passings(self) -> list[tuple[int, float, float]]:
+        """Frame, gap in metres and side (1 for left) of the nearest moments at which both move, side by side."""
+        boxes, ego = self._tracks.agents[self.agent], self._tracks.ego
+        gap = np.full(len(ego), np.inf)
+        at = np.flatnonzero(self._tracks.valid[self.agent] & self._plans.moving)
+        gap[at] = box_gap(boxes[at], ego[at])
+        aside = to_local(ego[:, :2], boxes[:, [0, 1, 4]])[:, 1]
+        gap[(np.abs(aside) < BESIDE_M) | (gap > PASSING_M) | (gap <= 2 * AIR_M)] = np.inf
+        found = []
+        while np.isfinite(gap).any() and len(found) < MOST_PASSINGS:
+            frame = int(np.argmin(gap))
+            found.append((frame, float(gap[frame]), float(np.sign(aside[frame]))))
+            gap[max(frame - round(APART_S * FRAME_HZ), 0) : frame + round(APART_S * FRAME_HZ)] = np.inf
+        return found
 
     def _list_paths(self, start: int) -> list[VehiclePath]:
         graph, retimed = _get_graph(self.scene), self.hyper.proposal is CandidateProposal.RETIMED
         if self.parked:
             # It stands where it stands: the same paths at every frame.
             if self._pull_outs is None:
-                paths = list_lane_paths(self.scene, self.agent, start, graph)
+                paths = list_lane_paths(self.scene, self.agent, start, 0.0, graph)
                 self._pull_outs = [] if retimed else [path for path in paths if self._is_on_road(path)]
             found = self._pull_outs
         else:
-            list_paths = list_recorded_paths if retimed else list_lane_paths
-            found = list(list_paths(self.scene, self.agent, start, graph))
+            found = list(
+                list_recorded_paths(self.scene, self.agent, start, graph)
+                if retimed
+                else list_lane_paths(self.scene, self.agent, start, self._speed_at(start), graph)
+            )
         met = [path for path in found if self._meets_ego(path, start)]
         return met if retimed or self.parked else [path for path in met if self._is_on_road(path)]
 
@@ -181,23 +232,31 @@ class Retiming:
         on = self.scene.road_map.is_drivable(path.points[::4])
         return bool(on[int(np.argmax(on)) :].mean() > 0.97) if on.any() else False
 
-    def _list_laws(self, path: VehiclePath, start: int) -> list[SpeedLaw]:
-        return list_laws(path.kind, self._speed_at(start), self._fastest)
-
     def _speed_at(self, start: int) -> float:
         return compute_initial_state(self.scene, self.agent, start, None).speed
 
-    def _place(self, path: VehiclePath, start: int, laws: Sequence[SpeedLaw]) -> Floats:
-        """(B, F, 3) poses of the box centre of points that keep to a path, from the start frame on."""
-        station = self._compute_stations(path, start, laws)
-        poses = path.at(station)
-        ahead = REAR_AXLE_BEHIND_CENTER * self._size[0]
-        poses[..., 0] += ahead * np.cos(poses[..., 2])
-        poses[..., 1] += ahead * np.sin(poses[..., 2])
-        return np.asarray(poses)
+    def _compute_stations(self, edits: Sequence[Edit]) -> Floats:
+        """(B, F) metres along their paths of edits from one frame."""
+        start, frames = edits[0].start, self._last - edits[0].start + 1
+        laws = [edit.law for edit in edits if edit.law is not None]
+        if len(laws) < len(edits):
+            pace = compute_recorded_stations(self.scene, self.agent, start, frames)
+            return np.tile(pace, (len(edits), 1))
+        paths = {id(edit.path): edit.path for edit in edits}
+        rows = np.searchsorted(known := np.sort(list(paths)), [id(edit.path) for edit in edits])
+        return compute_stations([paths[key] for key in known.tolist()], rows, laws, self._speed_at(start), frames)
 
-    def _compute_stations(self, path: VehiclePath, start: int, laws: Sequence[SpeedLaw]) -> Floats:
-        return compute_stations(path, laws, self._speed_at(start), self._last - start + 1)
+    def _place(self, edits: Sequence[Edit]) -> Floats:
+        """(B, F, 3) poses of the box centre of points that keep to the paths of edits from one frame."""
+        stations = self._compute_stations(edits)
+        poses = np.empty((*stations.shape, 3))
+        rows: dict[int, list[int]] = {}
+        for row, edit in enumerate(edits):
+            rows.setdefault(id(edit.path) if edit.swerve is None else -row - 1, []).append(row)
+        for some in rows.values():
+            path = edits[some[0]].driven_path()
+            poses[some] = np.nan if path is None else path.at(stations[some])
+        return shift_to_center(poses, float(self._size[0]))
 
     def _measure_moved(self, poses: Floats, start: int) -> Floats:
         """(B,) mean distance from the recording, metres, where both are there (ADE)."""
@@ -210,101 +269,89 @@ class Retiming:
         return np.concatenate([poses[..., :2], size, poses[..., 2:]], axis=-1)
 
     def _is_clear(self, poses: Floats, start: int, *, ego_alone: bool = False) -> Bools:
-        """(B,) whether tracks stay in the area and clear of all others and of the ego."""
+        """(B,) whether tracks stay clear of all others and of the ego."""
         boxes = self._box(poses)
-        boxes[..., 2:4] += 2 * AIR_M
-        ego = self.scene.ego.pose[start:]
-        local = np.stack([to_local(track[:, :2], ego) for track in poses])
-        clear = (np.abs(local) <= self.hyper.half_extent_m).all(axis=(1, 2))
+        clear = np.ones(len(poses), np.bool_)
         others = np.concatenate([self._tracks.agents[:, start:], self._tracks.ego[None, start:]])
         there = np.concatenate([self._tracks.valid[:, start:], np.ones((1, self._last - start + 1), np.bool_)])
         there[self.agent] = False
-        reach = 0.5 * (np.hypot(others[:, 0, 2], others[:, 0, 3]) + np.hypot(*boxes[0, 0, 2:4]))
+        wide = boxes.copy()
+        wide[..., 2:4] += 2 * AIR_M
+        boxes[..., 2:4] += 2 * OTHERS_AIR_M
+        reach = 0.5 * (np.hypot(others[:, 0, 2], others[:, 0, 3]) + np.hypot(*wide[0, 0, 2:4]))
         for other in [len(others) - 1] if ego_alone else np.flatnonzero(there.any(axis=1)).tolist():
             away = boxes[..., :2] - others[other, :, :2]
             row, frame = np.nonzero((away[..., 0] ** 2 + away[..., 1] ** 2 <= reach[other] ** 2) & there[other])
-            hit = boxes_overlap(boxes[row, frame], others[other, frame])
+            kept = wide if other == len(others) - 1 else boxes
+            hit = boxes_overlap(kept[row, frame], others[other, frame])
             clear[row[hit]] = False
         return np.asarray(clear)
 
-    def _drive(self, edit: Edit, strength: float) -> RetimedTrack | None:
-        """The edit, that many times as strong, as a car drives it; ``None`` where it is not clear or off the road."""
-        edit = replace(edit, law=scale_law(edit.law, self._speed_at(edit.start), strength))
-        poses = self._place(edit.path, edit.start, [edit.law])[0] if self._walks else self._simulate(edit)
-        if not np.isfinite(poses).all() or not self._is_clear(poses[None], edit.start)[0]:
+    def drive(self, edit: Edit, strengths: Sequence[float]) -> list[RetimedTrack | None]:
+        """The edit, as strong as each says, as a car drives it; ``None`` where it is not clear or off the road."""
+        start, before = edit.start, self._speed_at(edit.start)
+        edits = [edit.scaled(before, strength) for strength in strengths]
+        paths = [each.driven_path() for each in edits]
+        possible = [(each, path) for each, path in zip(edits, paths, strict=True) if path is not None]
+        tracks: dict[int, RetimedTrack] = {}
+        if possible:
+            some = [each for each, _ in possible]
+            poses = self._place(some) if self._walks else self._simulate(some, [path for _, path in possible])
+            fine = np.isfinite(poses).all(axis=(1, 2))
+            fine[fine] &= self._is_clear(poses[fine], start) if fine.any() else False
+            for row in np.flatnonzero(fine).tolist():
+                track = self._judge_driven(some[row], poses[row])
+                if track is not None:
+                    tracks[id(some[row])] = track
+        return [tracks.get(id(each)) for each in edits]
+
+    def _judge_driven(self, edit: Edit, poses: Floats) -> RetimedTrack | None:
+        boxes = self._box(poses)
+        rasters = _get_raster_footprints(self.scene)[edit.start :]
+        if boxes_overlap(boxes[:, None], rasters).any() or is_blocking_ego(self.scene, boxes, self.hyper):
             return None
-        pressure = self._plans.measure_pressure(self._box(poses[None]), edit.start)[0]
-        off = ~self.scene.road_map.is_drivable(box_corners(self._box(poses))).all(axis=-1)
-        if not self._walks and off.mean() > self.hyper.most_corner_off_road_share:
-            return None
+        if not self._walks:
+            center_off, corner_off = measure_off_road(self.scene, boxes, self.hyper)
+            if center_off.mean() > self.hyper.most_off_road_share:
+                return None
+            if corner_off.mean() > self.hyper.most_corner_off_road_share:
+                return None
+        pressure = self._plans.measure_pressure(boxes[None], edit.start)[0]
         moved = self._measure_moved(poses[None], edit.start)[0]
         return RetimedTrack(replace(edit, pressure=float(pressure), moved_m=float(moved)), poses)
 
-    def _find_weakest(self, edit: Edit) -> RetimedTrack | None:
-        """The weakest form of an edit that presses as much as a level asks for once it is driven, by bisection."""
-        strongest = self._find_strongest(edit)
-        level = next((level for level in LEVELS if strongest is not None and strongest[1].edit.pressure >= level), None)
-        if strongest is None or level is None:
-            return None
-        low, (high, best) = 0.0, strongest
-        for _ in range(BISECTIONS):
-            middle = 0.5 * (low + high)
-            weaker = self._drive(edit, middle)
-            if weaker is not None and weaker.edit.pressure >= level:
-                best, high = weaker, middle
-            else:
-                low = middle
-        return best
+    def find_weakest(self, edit: Edit) -> RetimedTrack | None:
+        """The weakest form of an edit among those that press most once it is driven.
 
-    def _find_strongest(self, edit: Edit) -> tuple[float, RetimedTrack] | None:
-        """The strongest form of an edit that is clear, and how strong it is: it passes the ego as near as it may."""
-        best: tuple[float, RetimedTrack] | None = None
-        high: float | None = None
-        for strength in STRENGTHS:
-            track = self._drive(edit, strength)
-            if track is None:
-                high = strength
+        An edit that hits the ego may be clear when it is weaker, or when it is stronger and comes before the ego. So
+        strengths are tried over their whole range, and more of them between neighbours of which one is better.
+        """
+        tried: dict[float, RetimedTrack | None] = {}
+        asked: Sequence[float] = STRENGTHS
+        for _ in range(1 + REFINEMENTS):
+            tried |= zip(asked, self.drive(edit, asked), strict=True)
+            order = sorted(tried)
+            asked = [
+                low + (high - low) * step / (FINER + 1)
+                for low, high in pairwise(order)
+                if _compute_worth(tried[low]) != _compute_worth(tried[high])
+                for step in range(1, FINER + 1)
+            ]
+            if not asked:
                 break
-            best = strength, track
-        if best is None or high is None:
-            return best
-        for _ in range(BISECTIONS):
-            middle = 0.5 * (best[0] + high)
-            track = self._drive(edit, middle)
-            if track is None:
-                high = middle
-            else:
-                best = middle, track
-        return best
+        best = max((_compute_worth(track) for track in tried.values()), default=0)
+        if best <= 0:
+            return None
+        return min(
+            (track for track in tried.values() if track is not None and _compute_worth(track) == best),
+            key=lambda track: track.edit.moved_m,
+        )
 
-    def _simulate(self, edit: Edit) -> Floats:
-        """(F, 3) poses of the box centre: tracker and bicycle, told anew where to be every second."""
-        model, length = MotionModel.si(), float(self._size[0])
-        state = compute_initial_state(self.scene, self.agent, edit.start, model.limits)
-        pose, motion = state.pose, np.array([[state.speed], [state.acceleration], [state.steering]])
-        station = self._compute_stations(edit.path, edit.start, [edit.law])[0]
-        frames = len(station)
-        ahead = FRAMES_PER_KEYFRAME * np.arange(1, WAYPOINTS + 1)
-        final_speed = (station[-1] - station[-2]) if frames > 1 else 0.0
-        axle = [pose[None]]
-        for first in range(0, frames - 1, FRAME_HZ):
-            at = first + ahead
-            wanted = np.interp(at, np.arange(frames), station) + np.maximum(at - frames + 1, 0) * final_speed
-            local = to_local(edit.path.at(wanted)[:, :2], pose)
-            path = build_reference_path(
-                local[None], dt=model.dt, frames_per_waypoint=model.frames_per_waypoint, smooth=model.smooth
-            )
-            steps = min(FRAME_HZ, frames - 1 - first)
-            driven = follow_path(path, motion, wheelbase_m=WHEELBASE * length, steps=steps, model=model).states[..., 0]
-            cos, sin = np.cos(pose[2]), np.sin(pose[2])
-            x = pose[0] + cos * driven[1:, 0] - sin * driven[1:, 1]
-            y = pose[1] + sin * driven[1:, 0] + cos * driven[1:, 1]
-            axle.append(np.column_stack([x, y, pose[2] + driven[1:, 2]]))
-            pose, motion = axle[-1][-1], driven[-1, 3:, None]
-        track = np.concatenate(axle)
-        back = REAR_AXLE_BEHIND_CENTER * length
-        center = track[:, :2] + back * np.stack([np.cos(track[:, 2]), np.sin(track[:, 2])], axis=1)
-        return np.column_stack([center, track[:, 2]])
+    def _simulate(self, edits: Sequence[Edit], paths: Sequence[VehiclePath]) -> Floats:
+        """(B, F, 3) poses of the box centre of edits from one frame, driven."""
+        model = MotionModel.si()
+        state = compute_initial_state(self.scene, self.agent, edits[0].start, model.limits)
+        return drive_stations(paths, self._compute_stations(edits), state, float(self._size[0]), model)
 
     def _is_answered(self, track: RetimedTrack) -> bool:
         """Whether a careful human survives it, among those near."""
@@ -320,13 +367,24 @@ class Retiming:
         return CollisionChecker.of(situation).find_outcome(motion).survives
 
 
+def _compute_worth(track: RetimedTrack | None) -> int:
+    """Levels of pressure of a driven edit; -1 for one that cannot be."""
+    return -1 if track is None else _count_levels(track.edit.pressure)
+
+
 _get_graph: Final = IdentityCache[Scene, LaneGraph](lambda scene: LaneGraph(scene.road_map), kept=2)
+
+_get_raster_footprints: Final = IdentityCache[Scene, Floats](
+    lambda scene: compute_raster_footprints(scene, np.arange(len(scene.timestamps_us))), kept=2
+)
+"""Where native protocols see the ego at each frame: who is there would be masked."""
 
 
 def iterate_retimings(scene: Scene, agent: int, hyper: HyperParameters) -> Iterator[tuple[int, Floats]]:
     """Frame of the launch and (F, 3) poses of the box centre, to the end of the scene, of edits of one vehicle.
 
-    With ``proposal=retimed`` on its recorded path, with ``rerouted`` on lanes that it did not take.
+    With ``proposal=retimed`` on its recorded path, with ``rerouted`` on lanes that it did not take, with ``swerved``
+    as recorded but nearer to the ego where it passes it.
     """
     for track in Retiming(scene, agent, hyper).find_tracks():
         yield track.start, track.poses

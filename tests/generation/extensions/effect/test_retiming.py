@@ -10,12 +10,14 @@ from benchmark.dynamics.bicycle import DriverLimits, find_broken_limit
 from benchmark.geometry import Floats, boxes_overlap
 from benchmark.road_map import Lane
 from benchmark.scene import Scene
+from generation.extensions.effect.driving import RetimedTrack, compute_recorded_stations
 from generation.extensions.effect.paths import LaneGraph, VehiclePath, list_lane_paths, list_recorded_paths
 from generation.extensions.effect.pressure import EgoPlans
-from generation.extensions.effect.retiming import LEVELS, RetimedTrack, Retiming, iterate_retimings
+from generation.extensions.effect.retiming import LEVELS, Retiming, iterate_retimings
 from generation.search.candidates import ExclusionReason, find_exclusion_reason
 from generation.search.hyperparameters import HyperParameters
 from generation.search.threat_settings import CandidateProposal
+from generation.search.verify import measure_off_road, verify
 from tests.hand_made import Car, scene_on_straight_road, straight_road
 
 RETIMED = HyperParameters(proposal=CandidateProposal.RETIMED, shortest_drive_frames=36)
@@ -55,8 +57,8 @@ def test_a_leader_dawdles_on_its_path_and_the_recorded_ego_still_passes(leader: 
 def test_an_edit_is_as_weak_as_its_level_of_pressure_allows(leader: tuple[Scene, RetimedTrack]) -> None:
     scene, track = leader
     level = next(level for level in LEVELS if track.edit.pressure >= level)
-    weaker = Retiming(scene, 0, RETIMED)._drive(track.edit, 0.96)
-    assert weaker is None or weaker.edit.pressure < level
+    for weaker in Retiming(scene, 0, RETIMED).drive(track.edit, [0.9, 0.94]):
+        assert weaker is None or weaker.edit.pressure < level
 
 
 def test_who_never_meets_the_ego_has_no_edit() -> None:
@@ -92,7 +94,7 @@ def test_a_recorded_path_goes_on_along_the_lane() -> None:
 
 def test_lane_paths_join_lanes_of_the_same_way_alone() -> None:
     scene = scene_on_straight_road((Car(60.0, 194.75, 8.0),), seconds=4.0)
-    ends = {round(float(path.points[-1, 1]), 2) for path in list_lane_paths(scene, 0, 12, LaneGraph(scene.road_map))}
+    ends = {round(float(path.points[-1, 1]), 2) for path in list_lane_paths(scene, 0, 12, 8.0, LaneGraph(scene.road_map))}
     assert ends == {194.75, 198.25}
 
 
@@ -129,3 +131,70 @@ def test_a_pedestrian_crosses_earlier_on_request() -> None:
     assert boxes[-1, 1] > scene.agents.position[0, -1, 1] + 0.5
     assert np.hypot(*np.diff(boxes[:, :2], axis=0).T).max() * FRAME_HZ < 1.3
     assert EgoPlans.of(scene).measure_pressure(boxes[None], track.start)[0] >= LEVELS[-1]
+
+
+SWERVED = replace(RETIMED, proposal=CandidateProposal.SWERVED)
+
+
+@pytest.mark.parametrize(("y", "yaw", "sign"), [(202.1, np.pi, -1.0), (194.4, 0.0, 1.0)])
+def test_who_passes_swerves_towards_the_ego_and_back_at_its_recorded_pace(y: float, yaw: float, sign: float) -> None:
+    """One comes towards the ego and leaves the area around it afterwards, one is overtaken by it."""
+    x, speed = (150.0, 8.0) if yaw else (80.0, 3.0)
+    scene = scene_on_straight_road((Car(x, y, speed, yaw),), seconds=10.0)
+    track = first_track(scene, SWERVED)
+    boxes, recorded = boxes_of(scene, track), scene.agents.position[0, track.start :, :2]
+    moved = sign * (boxes[:, 1] - recorded[:, 1])
+    assert 0.3 < moved.max() < 2.0 and moved[[0, -1]] == pytest.approx(0.0, abs=0.3)
+    np.testing.assert_allclose(boxes[:, 0], recorded[:, 0], atol=1.0)
+    assert not boxes_overlap(boxes, scene.ego.boxes[track.start :]).any()
+    assert find_broken_limit(boxes, DriverLimits()) is None
+    changed = scene.with_adversary(0, slice(track.start, len(scene.timestamps_us)), track.poses)
+    assert verify(changed, 0, track.start, SWERVED, None) is None
+
+
+def test_who_never_passes_does_not_swerve() -> None:
+    for car in (Car(68.0, 198.25, 8.0), Car(100.0, 194.5, 0.0)):
+        assert list(iterate_retimings(scene_on_straight_road((car,), seconds=9.0), 0, SWERVED)) == []
+
+
+def test_a_recorded_pace_goes_on_at_its_last_speed_and_never_backwards() -> None:
+    scene = scene_on_straight_road((Car(60.0, 194.75, 6.0),), seconds=4.0)
+    station = compute_recorded_stations(scene, 0, 12, 60)
+    np.testing.assert_allclose(np.diff(station) * FRAME_HZ, 6.0, atol=0.05)
+
+
+def test_an_edit_that_hits_the_ego_when_weak_is_clear_when_strong() -> None:
+    """A car beside that goes early, and in front of the ego, must be quick enough."""
+    scene = scene_on_straight_road((Car(62.0, 194.75, 7.0),), seconds=10.0)
+    retiming = Retiming(scene, 0, REROUTED)
+    found = [track for edit in retiming.find_edits()[:6] if (track := retiming.find_weakest(edit)) is not None]
+    assert found
+    assert all(not boxes_overlap(boxes_of(scene, track), scene.ego.boxes[track.start :]).any() for track in found)
+
+
+def test_who_runs_into_the_ego_from_behind_does_not_press_it() -> None:
+    scene = scene_on_straight_road((), seconds=6.0)
+    ego = scene.ego.boxes.copy()
+    for ahead, pressed in ((-5.2, False), (5.2, True)):
+        other = ego + [ahead, 0.0, 0.0, 0.0, 0.0]
+        assert bool(EgoPlans.of(scene).measure_pressure(other[None], 0)[0] > 0.0) is pressed
+
+
+def test_a_u_turn_ends_in_a_lane_of_the_other_way() -> None:
+    """From the southern edge of the road to the northern lanes, 10.5 m on."""
+    scene = scene_on_straight_road((Car(60.0, 194.75, 0.0),), seconds=4.0)
+    paths = list(list_lane_paths(scene, 0, 12, 0.0, LaneGraph(scene.road_map)))
+    (turn,) = (path for path in paths if path.kind == "turns")
+    assert np.ptp(turn.headings) == pytest.approx(np.pi, abs=0.3)
+    assert turn.points[-1, 1] == pytest.approx(205.25, abs=0.1)
+    assert not [p for p in list_lane_paths(scene, 0, 12, 8.0, LaneGraph(scene.road_map)) if p.kind == "turns"]
+
+
+def test_the_way_out_of_a_driveway_is_not_off_the_road() -> None:
+    scene = scene_on_straight_road((), seconds=6.0)
+    y = np.concatenate([np.linspace(186.0, 194.75, 20), np.full(40, 194.75)])
+    boxes = np.column_stack([np.linspace(100, 130, 60), y, np.full(60, 4.6), np.full(60, 1.9), np.zeros(60)])
+    assert measure_off_road(scene, boxes, RETIMED)[1].mean() > 0.2
+    assert not measure_off_road(scene, boxes, replace(RETIMED, behaviour=True))[1].any()
+    back = np.concatenate([boxes, boxes[::-1]])
+    assert measure_off_road(scene, back, replace(RETIMED, behaviour=True))[1].any()
