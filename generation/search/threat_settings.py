@@ -29,8 +29,8 @@ class CandidateProposal(StrEnum):
     """Source of an adversary's motion.
 
     ``SAMPLED``: the diffusion model, refined and scored. ``RETIMED``: its recorded path with other timing.
-    ``REROUTED``: lanes that it did not take, from standing too. ``SWERVED``: as recorded, but nearer to the ego where it
-    passes it. The latter three are of the extension ``effect``.
+    ``REROUTED``: lanes that it did not take, from standing too. ``SWERVED``: as recorded, but nearer to the ego
+    where it passes it. The latter three are of the extension ``effect``.
     """
 
     SAMPLED = "sampled"

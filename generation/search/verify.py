@@ -197,7 +197,7 @@ def _find_contact(scene: Scene, agent: int, start: int, boxes: Floats) -> Verifi
 
 
 def _check_area(scene: Scene, agent: int, start: int, hyper: HyperParameters) -> VerificationFailure | None:
-    """The area is what the diffusion model sees; who follows a path may leave it, as everybody who comes towards does."""
+    """The area is what the diffusion model sees; who follows a path may leave it, as oncoming traffic does."""
     if hyper.proposal is not CandidateProposal.SAMPLED:
         return None
     out = np.flatnonzero(~is_in_canvas(scene, scene.agents.position[agent, :, :2], hyper.half_extent_m)[start:])

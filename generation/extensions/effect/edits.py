@@ -109,7 +109,7 @@ def compute_stations(
 
 
 def _compute_bend_speeds(paths: Sequence[VehiclePath]) -> Floats:
-    """(P, V) m/s at which paths can be driven, slowed down for bends ahead; the last one goes on behind a path's end."""
+    """(P, V) m/s at which paths can be driven, slowed down for bends ahead; the last holds behind a path's end."""
     most = max(len(path.points) for path in paths)
     curvature = np.stack([np.pad(path.curvature, (0, most - len(path.points)), mode="edge") for path in paths])
     speed = np.sqrt(ACROSS_M_S2 / np.maximum(np.abs(curvature), 1e-3))

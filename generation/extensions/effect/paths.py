@@ -167,9 +167,7 @@ def list_recorded_paths(scene: Scene, agent: int, frame: int, graph: LaneGraph) 
         yield path
 
 
-def list_lane_paths(
-    scene: Scene, agent: int, frame: int, speed: float, graph: LaneGraph
-) -> Iterator[VehiclePath]:
+def list_lane_paths(scene: Scene, agent: int, frame: int, speed: float, graph: LaneGraph) -> Iterator[VehiclePath]:
     """Paths from a frame on along lanes: the own one, its branches, those joined from beside, and those turned into.
 
     ``speed`` is that at the frame, m/s.

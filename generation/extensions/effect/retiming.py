@@ -29,7 +29,7 @@ from generation.extensions.effect.driving import (
     drive_stations,
     shift_to_center,
 )
-from generation.extensions.effect.edits import SpeedLaw, compute_stations, list_laws
+from generation.extensions.effect.edits import compute_stations, list_laws
 from generation.extensions.effect.paths import LaneGraph, VehiclePath, list_lane_paths, list_recorded_paths
 from generation.extensions.effect.pressure import EgoPlans
 from generation.search.hyperparameters import HyperParameters
