@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 RESULTS = Path("docs/results")
 """Folder of the page of measured results and its numbers."""
-FULL_DEMO_VEHICLES = 2
+FULL_DEMO_VEHICLES = 1
 """Most vehicles tried of each recorded scene for the ablation of ``demo --full``."""
 
 
