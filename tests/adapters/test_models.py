@@ -33,7 +33,7 @@ MOST_BYTES = 20_000_000
 MOST_PARAMETERS = 3_000_000
 SAMPLES = 10
 SCENES = ("scene-8004", "scene-8005")
-"""The ego comes to a stop in one and turns in the other, which its own motion alone does not tell."""
+"""The ego brakes in one and turns in the other, which its own motion alone does not tell."""
 
 
 @pytest.fixture(scope="module")
