@@ -108,7 +108,7 @@ def list_planner_caveats(planner: PlannerFacts, scenes: Mapping[str, SceneFacts]
 def list_source_caveats(planner: PlannerFacts, data: "DataSet", scenes: Sequence[str]) -> list[Caveat]:
     """Caveats about views that a rig lacks, how far it is from the one that networks know, and who chose scenes."""
     panel = (data.provenance() or {}).get(PANEL)
-    chosen = f"scenes were chosen for being hard for {panel}: these planners are not held out"
+    chosen = f"scenes were chosen by how hard they are for {panel}, which is not held out"
     caveats = [Caveat(kind="panel", sentence=chosen[:1000])] if isinstance(panel, str) else []
     if not any(name.startswith(SENSOR) for name, _ in data.categories):
         return caveats

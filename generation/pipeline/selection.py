@@ -1,6 +1,5 @@
 """Generated scenes that are written: most challenging, failed by the surrogate, not rejected, and varied."""
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -179,12 +178,15 @@ def _select_most_challenging(
 
 
 def _select_first(chains: Sequence[AdversaryChain], per_scene: int) -> list[AdversaryChain]:
-    """The first ones of each recording, in the order given."""
-    taken: Counter[str] = Counter()
+    """The first ones of each recording, in the order given; none in which the same adversaries do the same again."""
+    taken: dict[str, set[tuple[str, ...]]] = {}
     selected = []
     for chain in chains:
-        taken[chain.scene_name] += 1
-        if taken[chain.scene_name] <= per_scene:
+        used = taken.setdefault(chain.scene_name, set())
+        labels = chain.links[-1].attempt.labels
+        encounter = ("" if labels is None else labels.manoeuvre, *sorted(chain.agent_ids))
+        if len(used) < per_scene and encounter not in used:
+            used.add(encounter)
             selected.append(chain)
     return selected
 

@@ -93,11 +93,13 @@ class Search:
 
     @property
     def families(self) -> "tuple[Search, ...]":
-        """Itself without the further searches, and each of those."""
-        return (
-            replace(self, further=()),
-            *(replace(self, hyper=hyper, further=(), family=hyper.fingerprint[:8]) for hyper in self.further),
-        )
+        """Itself without the further searches, and each of those; settings that occur again draw by the next seed."""
+        found = [replace(self, further=())]
+        for hyper in self.further:
+            again = sum(one.hyper == hyper for one in found)
+            name = hyper.fingerprint[:8] + (f"-{again}" if again else "")
+            found.append(replace(self, hyper=hyper, further=(), family=name, seed=self.seed + again))
+        return tuple(found)
 
     def key(self, unit: SearchUnit) -> str:
         """Content key of one attempt."""

@@ -44,10 +44,10 @@ def build_default_settings() -> HyperParameters:
 def build_further_settings(
     preset: Preset, settings: Mapping[str, Any] | None = None, changes: Sequence[str] = ()
 ) -> tuple[HyperParameters, ...]:
-    """Settings of the further searches of a preset: of ``effect`` nearness, and edits: of timing, lanes and side.
+    """Settings of the further searches of a preset: of ``effect`` nearness, edits of timing, lanes and side.
 
-    Threat and nearness find different failures. What is changed in the first search is changed in those that have the
-    same value; arguments and errors as of `build_hyper_parameters`.
+    Threat and nearness find different failures; threat, the first search, is drawn again at the end. What is changed in
+    the first search is changed in those that have the same value; arguments and errors as of `build_hyper_parameters`.
     """
     if preset != "effect":
         return ()
@@ -67,7 +67,7 @@ def build_further_settings(
         for proposal in (CandidateProposal.RETIMED, CandidateProposal.REROUTED, CandidateProposal.SWERVED)
     ]
     first, names = build_hyper_parameters(preset), [change.partition("=")[0].strip() for change in changes]
-    return tuple(
+    changed = tuple(
         hyper.changed([
             change
             for change, name in zip(changes, names, strict=True)
@@ -75,6 +75,7 @@ def build_further_settings(
         ])
         for hyper in (near, *proposed)
     )  # fmt: skip
+    return *changed, build_hyper_parameters(preset, settings, changes)
 
 
 def build_hyper_parameters(

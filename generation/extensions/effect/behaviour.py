@@ -141,7 +141,7 @@ class DrivenStretch:
     ) -> VerificationFailure | None:
         """Finding if (M, F) flags hold for longer than so many seconds with one and the same other."""
         for row in np.flatnonzero(holds.any(axis=1)).tolist():
-            for first, stop in _list_runs(holds[row], self.seconds, longer_than):
+            for first, stop in list_runs(holds[row], self.seconds, longer_than):
                 span = self.span(first, stop)
                 return self.failure(reason, first, "seconds", span, longer_than, others.names[row])
         return None
@@ -176,7 +176,7 @@ def iterate_behaviour_faults(scene: Scene, agent: int, start: int) -> Iterator[V
 def _find_against_traffic(driven: DrivenStretch, smallest: Floats) -> VerificationFailure | None:
     """Against every lane below for too long, but for turns, U-turns and overtaking that ends along a lane again."""
     along = smallest < TURN_RAD
-    for first, stop in _list_runs(smallest > np.pi / 2, driven.seconds, AGAINST_S):
+    for first, stop in list_runs(smallest > np.pi / 2, driven.seconds, AGAINST_S):
         before, after = driven.window(first, stop, AROUND_S)
         turned = np.ptp(np.unwrap(driven.boxes[before:after, 4])) >= TURN_RAD
         settled = along[stop:].sum() >= SETTLED_S * FRAME_HZ and along[:first].any()
@@ -188,7 +188,7 @@ def _find_against_traffic(driven: DrivenStretch, smallest: Floats) -> Verificati
 def _find_turn_across_road(driven: DrivenStretch, smallest: Floats, largest: Floats) -> VerificationFailure | None:
     """Across the whole width of a road, where there is no junction, and no U-turn that ends along a lane."""
     across = (smallest > TURN_RAD) & (largest < np.pi - TURN_RAD) & (driven.speed >= STANDING_M_S)
-    for first, stop in _list_runs(across, driven.seconds, 0.0):
+    for first, stop in list_runs(across, driven.seconds, 0.0):
         before, after = driven.window(first, stop, AROUND_S)
         if np.ptp(np.unwrap(driven.boxes[before:after, 4])) >= TURN_BACK_RAD:
             continue
@@ -248,7 +248,7 @@ def _find_off_road(driven: DrivenStretch) -> VerificationFailure | None:
     for park in driven.scene.road_map.carparks.values() if off.any() else ():
         off &= ~shapely.intersects(park, centers)
     off[: int(np.argmin(off)) if not off.all() else len(off)] = False
-    for first, stop in _list_runs(off, driven.seconds, OFF_ROAD_S):
+    for first, stop in list_runs(off, driven.seconds, OFF_ROAD_S):
         return driven.failure(DiscardReason.OFF_ROAD, first, "seconds", driven.span(first, stop), OFF_ROAD_S)
     return None
 
@@ -261,7 +261,7 @@ def _find_head_on(driven: DrivenStretch) -> VerificationFailure | None:
     station, offset, turn = way.places(driven.boxes[:, [0, 1, 4]], first, last)
     facing = resting & (np.abs(turn) > HEAD_ON_RAD) & (np.abs(offset) <= HEAD_ON_M)
     facing &= station > way.station[driven.frames]
-    for first, stop in _list_runs(facing, driven.seconds, HEAD_ON_S):
+    for first, stop in list_runs(facing, driven.seconds, HEAD_ON_S):
         return driven.failure(DiscardReason.HEAD_ON, first, "seconds", driven.span(first, stop), HEAD_ON_S)
     return None
 
@@ -299,7 +299,7 @@ def _bridge_seams(turns: Floats) -> Floats:
     return np.where(known, turns[last], np.nan)
 
 
-def _list_runs(holds: Bools, seconds: Floats, longer_than: float) -> Iterator[tuple[int, int]]:
+def list_runs(holds: Bools, seconds: Floats, longer_than: float) -> Iterator[tuple[int, int]]:
     """First and stop of each run of (F,) flags that lasts longer than so many seconds."""
     edges = np.flatnonzero(np.diff(holds.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
     for first, stop in edges.tolist():

@@ -18,6 +18,7 @@ from benchmark.dynamics.reference_path import WAYPOINTS, build_reference_path
 from benchmark.geometry import Floats, to_global, to_local
 from benchmark.scene import Scene
 from generation.extensions.effect.edits import SpeedLaw, scale_law
+from generation.extensions.effect.leading import LeadLaw
 from generation.extensions.effect.paths import VehiclePath
 
 STEADY_S: Final = 0.5
@@ -42,7 +43,7 @@ class Edit:
 
     path: VehiclePath
     start: int
-    law: SpeedLaw | None
+    law: SpeedLaw | LeadLaw | None
     swerve: Swerve | None = None
     pressure: float = 0.0
     moved_m: float = 0.0
@@ -57,6 +58,8 @@ class Edit:
         """The same, that many times as strong; ``before`` is the speed at its start, m/s."""
         if self.swerve is not None:
             return replace(self, swerve=replace(self.swerve, aside_m=strength * self.swerve.aside_m))
+        if isinstance(self.law, LeadLaw):
+            return replace(self, law=replace(self.law, gap_m=self.law.gap_m / strength))
         return self if self.law is None else replace(self, law=scale_law(self.law, before, strength))
 
 

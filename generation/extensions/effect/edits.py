@@ -12,12 +12,13 @@ from benchmark.dynamics.bicycle import ACCELERATION_LAG_S
 from benchmark.geometry import Floats
 from generation.extensions.effect.paths import SPACING_M, PathKind, VehiclePath
 
-BRAKING_M_S2: Final = tuple(np.arange(0.5, 4.01, 0.5).tolist())
+MOST_SLOWER_M_S2, MOST_FASTER_M_S2 = 4.0, 2.0
+BRAKING_M_S2: Final = tuple(np.arange(0.5, MOST_SLOWER_M_S2 + 0.01, 0.5).tolist())
 BRAKED_TO: Final = (0.0, 0.3, 0.5, 0.7, 0.85)
 HELD_S: Final = (0.5, 1.5, 3.0, 5.0, 9.0)
 RECOVERY_M_S2: Final = 1.0
 """An edit that brakes: how hard, to which share of its speed, how long it stays there, and how it comes back."""
-ACCELERATION_M_S2: Final = (0.4, 0.8, 1.2, 1.6, 2.0)
+ACCELERATION_M_S2: Final = (0.4, 0.8, 1.2, 1.6, MOST_FASTER_M_S2)
 FASTER: Final = (1.0, 1.1, 1.2)
 """An edit that goes early: how hard, and up to which multiple of its own highest speed."""
 LANE_SPEEDS_M_S: Final = (3.0, 4.5, 6.0, 7.5, 9.0, 11.0)
@@ -70,10 +71,10 @@ def scale_law(law: SpeedLaw, before: float, strength: float) -> SpeedLaw:
     """
     if law.change < 0.0:
         target = max(before - strength * (before - law.target), 0.0)
-        return replace(law, change=max(law.change * strength, -BRAKING_M_S2[-1]), target=target)
+        return replace(law, change=max(law.change * strength, -MOST_SLOWER_M_S2), target=target)
     if np.isfinite(law.held_s):
         return replace(law, target=law.target * strength, held_s=law.held_s * strength)
-    return replace(law, change=min(law.change * strength, ACCELERATION_M_S2[-1]))
+    return replace(law, change=min(law.change * strength, MOST_FASTER_M_S2))
 
 
 def compute_stations(
@@ -86,7 +87,7 @@ def compute_stations(
     change, target, held, then = (
         np.array([getattr(law, name) for law in laws]) for name in ("change", "target", "held_s", "then")
     )
-    bends, speed = _compute_bend_speeds(paths), np.full(len(laws), start_speed)
+    bends, speed = compute_bend_speeds(paths), np.full(len(laws), start_speed)
     last = bends.shape[1] - 2
     acceleration, reached = np.zeros(len(laws)), np.full(len(laws), np.inf)
     station, step = np.zeros((len(laws), frames)), 1.0 / FRAME_HZ
@@ -108,7 +109,7 @@ def compute_stations(
     return station
 
 
-def _compute_bend_speeds(paths: Sequence[VehiclePath]) -> Floats:
+def compute_bend_speeds(paths: Sequence[VehiclePath]) -> Floats:
     """(P, V) m/s at which paths can be driven, slowed down for bends ahead; the last holds behind a path's end."""
     most = max(len(path.points) for path in paths)
     curvature = np.stack([np.pad(path.curvature, (0, most - len(path.points)), mode="edge") for path in paths])

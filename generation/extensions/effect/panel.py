@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.constants import PLAN_STEPS
+from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
 from benchmark.datasets.roots import DataSet
 from benchmark.datasets.sample_truth import compute_truth
 from benchmark.geometry import Floats
@@ -17,32 +17,49 @@ from benchmark.interactions.reaction import Driver
 from benchmark.interactions.tracks import STEP_S, ContinuousTracks
 from benchmark.planning import PrivilegedPlanner, SceneInfo
 from benchmark.protocols import find_protocol
+from benchmark.protocols.contract import CollisionProtocol
 from benchmark.protocols.raster import HIT_ADVERSARY
 from benchmark.scene import Scene
+from benchmark.truth import SampleTruth
 from generation.pipeline.panel import PlannerPanel
 from generation.search.chains import AdversaryChain
 
 DISTRACTED: Final = "distracted"
 LATE_S: Final = 1.0
 """How much later than a careful human the distracted driver answers."""
-HORIZON_S: Final = 3.0
+HORIZONS_S: Final = (1.0, 2.0, 3.0)
 DIGITS: Final = 6
-ALIKE: Final = 1.0
+ALIKE: Final = 0.15
 """How many times its probability a scene is worth less for each kept one of its kind: p / (1 + this x kept)."""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneEffect:
-    """Probability that each member of the panel touches the adversary in a sample of a scene, by name."""
+    """Share of the samples of a scene in which each run of the panel touches the adversary, by member.
+
+    The mean of those within 1, 2 and 3 s, as in every table.
+    """
 
     name: str
     kind: str
-    members: Mapping[str, float]
+    adversaries: tuple[str, ...]
+    runs: Mapping[str, tuple[float, ...]]
+
+    @property
+    def encounter(self) -> tuple[str, ...]:
+        """Who does what: in a recording once is enough."""
+        return (self.kind, *self.adversaries)
+
+    @property
+    def members(self) -> dict[str, float]:
+        """Means over the seeds of each member."""
+        return {name: round(float(np.mean(rates)), DIGITS) for name, rates in self.runs.items()}
 
     @property
     def probability(self) -> float:
-        """Of the members together: their mean."""
-        return round(float(np.mean(list(self.members.values()))), DIGITS)
+        """Of the members together: their mean, weighted by the root of their seeds."""
+        weights = [len(rates) ** 0.5 for rates in self.runs.values()]
+        return round(float(np.average(list(self.members.values()), weights=weights)), DIGITS)
 
 
 def rank_by_effect(
@@ -77,7 +94,8 @@ def order_scenes(effects: Mapping[str, SceneEffect], recordings: Mapping[str, st
     Args:
         effects: Effect of each scene, by name.
         recordings: Recording of each.
-        per_scene: Scenes of a recording that are kept; further ones come last and count for no kind.
+        per_scene: Scenes of a recording that are kept, of which the same adversary does something else in each; further
+            ones come last and count for no kind.
 
     Returns:
         The names.
@@ -86,18 +104,22 @@ def order_scenes(effects: Mapping[str, SceneEffect], recordings: Mapping[str, st
     order: list[str] = []
     kinds: Counter[str] = Counter()
     taken: Counter[str] = Counter()
+    used: set[tuple[str, ...]] = set()
 
     def worth(name: str) -> tuple[bool, float, float]:
         effect = effects[name]
         value = effect.probability / (1.0 + ALIKE * kinds[effect.kind])
-        return taken[recordings[name]] < per_scene, value, effect.probability
+        fits = taken[recordings[name]] < per_scene and effect.encounter not in used
+        return fits, value, effect.probability
 
     while rest:
         best = max(rest, key=worth)
         rest.remove(best)
         order.append(best)
-        kinds[effects[best].kind] += worth(best)[0]
-        taken[recordings[best]] += 1
+        counts = worth(best)[0]
+        kinds[effects[best].kind] += counts
+        taken[recordings[best]] += counts
+        used.add(effects[best].encounter)
     return order
 
 
@@ -121,29 +143,35 @@ def measure_effect(name: str, scene: Scene, kind: str, plans: Mapping[str, Seque
     distracted driver in those whose 3 s hold its contact.
     """
     truths, exact = compute_truth(scene, [""] * len(scene.keyframes)), find_protocol("exact")
-    members = {}
-    for member, seeds in plans.items():
-        hits, counted = 0, 0
-        for waypoints in seeds:
-            known = np.flatnonzero(np.isfinite(waypoints).all(axis=(1, 2)))
-            outcomes = exact.evaluate([truths[index] for index in known.tolist()], waypoints[known])
-            hit = np.array([value is True for value in outcomes.facts[HIT_ADVERSARY]])
-            hits, counted = hits + int((hit & outcomes.counted).sum()), counted + int(outcomes.counted.sum())
-        members[member] = round(hits / max(counted, 1), DIGITS)
-    members[DISTRACTED] = round(_measure_distracted(scene), DIGITS)
-    return SceneEffect(name, kind, members)
+    runs = {
+        member: tuple(_measure_plans(exact, truths, waypoints) for waypoints in seeds)
+        for member, seeds in plans.items()
+    }
+    late = (_measure_distracted(scene),)
+    return SceneEffect(name, kind, tuple(sorted(scene.adversaries)), {**runs, DISTRACTED: late})
+
+
+def _measure_plans(exact: CollisionProtocol, truths: Sequence[SampleTruth], waypoints: Floats) -> float:
+    """Share of the samples in which a plan first touches an adversary, mean over the horizons."""
+    known = np.flatnonzero(np.isfinite(waypoints).all(axis=(1, 2)))
+    outcomes = exact.evaluate([truths[index] for index in known.tolist()], waypoints[known])
+    hit = np.array([value is True for value in outcomes.facts[HIT_ADVERSARY]], np.bool_) & outcomes.counted
+    steps = np.rint(np.array(HORIZONS_S) / PLAN_STEP_S).astype(np.int64) - 1
+    touched = np.maximum.accumulate(outcomes.collision, axis=1)[:, steps] & hit[:, None]
+    return float(touched.mean(axis=1).sum() / max(outcomes.counted.sum(), 1))
 
 
 def _measure_distracted(scene: Scene) -> float:
-    """Share of the samples in whose next 3 s the distracted driver touches an adversary."""
+    """Share of the samples from which the distracted driver soon touches an adversary, mean over the horizons."""
     situation = DrivingSituation.of(ContinuousTracks.of_scene(scene))
     late = ReferenceDriver(Driver.CC, late_steps=round(LATE_S / STEP_S))
     (motion,) = simulate_drivers(situation, [late])
     contact = CollisionChecker.of(situation).find_outcome(motion).contact
     if contact is None or scene.agents.ids[contact.agent] not in scene.adversaries:
         return 0.0
-    at = scene.seconds[scene.keyframes]
-    return float(((at < contact.time) & (contact.time <= at + HORIZON_S)).sum() / max(len(at) - PLAN_STEPS, 1))
+    left = contact.time - scene.seconds[scene.keyframes][:, None]
+    soon = (left > 0.0) & (left <= np.array(HORIZONS_S))
+    return float(soon.mean(axis=1).sum() / max(len(left) - PLAN_STEPS, 1))
 
 
 def _plan(source: DataSet, scene: Scene, member: str, seeds: int, panel: PlannerPanel) -> list[Floats]:

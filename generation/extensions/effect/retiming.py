@@ -14,13 +14,14 @@ import shapely
 
 from benchmark.constants import FRAME_HZ
 from benchmark.dynamics.bicycle import MotionModel
-from benchmark.geometry import Bools, Floats, box_gap, boxes_overlap, to_local
+from benchmark.geometry import Bools, Floats, box_gap, boxes_overlap
 from benchmark.interactions.driver_outcomes import CollisionChecker
 from benchmark.interactions.driver_simulation import DrivingSituation, ReferenceDriver, simulate_drivers
 from benchmark.interactions.reaction import Driver
 from benchmark.interactions.tracks import ContinuousTracks
 from benchmark.machine.identity_cache import IdentityCache
 from benchmark.scene import Scene
+from generation.extensions.effect.behaviour import STICKING_M, STICKING_S, list_runs
 from generation.extensions.effect.driving import (
     Edit,
     RetimedTrack,
@@ -29,9 +30,11 @@ from generation.extensions.effect.driving import (
     drive_stations,
     shift_to_center,
 )
-from generation.extensions.effect.edits import compute_stations, list_laws
+from generation.extensions.effect.edits import SpeedLaw, compute_stations, list_laws
+from generation.extensions.effect.leading import LEAD_LAWS, LeadLaw, LedEgo, compute_leading_stations, find_led_ego
+from generation.extensions.effect.passings import find_passings
 from generation.extensions.effect.paths import LaneGraph, VehiclePath, list_lane_paths, list_recorded_paths
-from generation.extensions.effect.pressure import EgoPlans
+from generation.extensions.effect.pressure import LEAST_PRESSURE, EgoPlans, count_levels
 from generation.search.hyperparameters import HyperParameters
 from generation.search.recorded_ego_path import get_ego_path
 from generation.search.recorded_motion import AHEAD_S, compute_initial_state, is_driving_forward, is_vulnerable
@@ -43,11 +46,9 @@ EVERY_S: Final = 1.0
 AIR_M: Final = 0.25
 OTHERS_AIR_M: Final = 0.12
 """Kept from the ego, and from all others: rows of parked cars are narrow."""
-LEVELS: Final = (0.15, 0.1, 0.06, 0.03, 0.015, 0.005)
-"""Shares of the ego's plans that an edit should touch: edits above the first level come before those above the next."""
-MOST_ALIKE: Final = 2
+MOST_ALIKE: Final = 3
 """Edits of one path from one frame that are looked at further."""
-MOST_PLACED, MOST_DRIVEN = 60, 5
+MOST_PLACED, MOST_DRIVEN = 60, 8
 """Edits of a vehicle that are looked at for contacts, and of them those that the simulator drives."""
 OVER_M: Final = 10.0
 MEETING_M: Final = 3.0
@@ -58,23 +59,16 @@ STRENGTHS: Final = (0.3, 0.5, 0.7, 0.85, 1.0, 1.15, 1.35, 1.6)
 """Of an edit, times what was found on its path; a car is not exactly where a point would be."""
 FINER, REFINEMENTS = 3, 2
 """Strengths between two neighbours of which one is better, and how often: to about a hundredth."""
-PASSING_M, BESIDE_M = 5.0, 1.5
-"""Gap at which a vehicle passes the ego, and how far aside that is at least."""
 SWERVING_S: Final = (1.5, 2.2, 3.0)
 LEAST_SWERVE_M: Final = 5.0
 """Before the nearest moment, in which a vehicle swerves, and the way that it has for that at least."""
 SWERVED_SHARES: Final = (0.7, 0.85, 1.0)
 """Of the gap that is left then."""
-MOST_PASSINGS, APART_S = 3, 3.0
 
 
 def _rank_edit(edit: Edit) -> tuple[int, float, int]:
     """Strong edits first, each level by how little it moves."""
-    return -_count_levels(edit.pressure), edit.moved_m, edit.start
-
-
-def _count_levels(pressure: float) -> int:
-    return sum(pressure >= level for level in LEVELS)
+    return -count_levels(edit.pressure), edit.moved_m, edit.start
 
 
 class Retiming:
@@ -86,6 +80,7 @@ class Retiming:
         self._tracks = ContinuousTracks.of_scene(scene)
         self._walks = is_vulnerable(scene, agent)
         self._pull_outs: list[VehiclePath] | None = None
+        self._led: dict[tuple[int, int], tuple[VehiclePath, LedEgo | None]] = {}
         self._last = len(scene.timestamps_us) - 1
         self._size = scene.agents.size[agent, :2].astype(np.float64)
         self._plans = EgoPlans.of(scene)
@@ -120,7 +115,10 @@ class Retiming:
             edits = [
                 Edit(path, start, law)
                 for path in self._list_paths(start)
-                for law in list_laws(path.kind, speed, self._fastest)
+                for law in (
+                    *list_laws(path.kind, speed, self._fastest),
+                    *(LEAD_LAWS if self._find_led(path, start) is not None and not self._walks else ()),
+                )
             ]
             found += self._select(edits)
         return sorted(found, key=_rank_edit)
@@ -140,7 +138,7 @@ class Retiming:
         rows = rows[moved[rows] >= self._least_moved_m]
         if len(rows):
             pressure[rows] = self._plans.measure_pressure(self._box(poses[rows]), start)
-        rows = rows[pressure[rows] >= LEVELS[-1]]
+        rows = rows[pressure[rows] >= LEAST_PRESSURE]
         # The ego alone first: many edits that press it hit it, and the others are many.
         rows = rows[self._is_clear(poses[rows], start, ego_alone=True)] if len(rows) else rows
         of_path: dict[int, list[Edit]] = {}
@@ -169,7 +167,7 @@ class Retiming:
     def _list_swerves(self) -> list[Edit]:
         """Its recorded path and timing, but towards the ego where it passes it, as near as may be."""
         edits = []
-        for frame, gap, side in self._find_passings():
+        for frame, gap, side, towards in find_passings(self._tracks, self.agent, self._plans.moving):
             for seconds in SWERVING_S:
                 start = frame - round(seconds * FRAME_HZ)
                 if not self._can_start(start):
@@ -178,27 +176,17 @@ class Retiming:
                 if at_m < LEAST_SWERVE_M:
                     continue
                 paths = list_recorded_paths(self.scene, self.agent, start, _get_graph(self.scene))
+                aside = side * (gap - AIR_M)
+                swerves = [Swerve(at_m, at_m, aside)]
+                # Twice as far half-way to its end: one that overtakes somebody and comes back late.
+                swerves += [Swerve(at_m / 1.5, at_m / 1.5, 2.0 * aside)] if towards else []
                 edits += [
-                    Edit(path, start, None, Swerve(at_m, at_m, side * share * (gap - AIR_M)))
+                    Edit(path, start, None, replace(swerve, aside_m=share * swerve.aside_m))
                     for path in list(paths)[:1]
+                    for swerve in swerves
                     for share in SWERVED_SHARES
                 ]
         return [edit for edit in edits if edit.driven_path() is not None]
-
-    def _find_passings(self) -> list[tuple[int, float, float]]:
-        """Frame, gap in metres and side (1 for left) of the nearest moments at which both move, side by side."""
-        boxes, ego = self._tracks.agents[self.agent], self._tracks.ego
-        gap = np.full(len(ego), np.inf)
-        at = np.flatnonzero(self._tracks.valid[self.agent] & self._plans.moving)
-        gap[at] = box_gap(boxes[at], ego[at])
-        aside = to_local(ego[:, :2], boxes[:, [0, 1, 4]])[:, 1]
-        gap[(np.abs(aside) < BESIDE_M) | (gap > PASSING_M) | (gap <= 2 * AIR_M)] = np.inf
-        found = []
-        while np.isfinite(gap).any() and len(found) < MOST_PASSINGS:
-            frame = int(np.argmin(gap))
-            found.append((frame, float(gap[frame]), float(np.sign(aside[frame]))))
-            gap[max(frame - round(APART_S * FRAME_HZ), 0) : frame + round(APART_S * FRAME_HZ)] = np.inf
-        return found
 
     def _list_paths(self, start: int) -> list[VehiclePath]:
         graph, retimed = _get_graph(self.scene), self.hyper.proposal is CandidateProposal.RETIMED
@@ -238,13 +226,29 @@ class Retiming:
     def _compute_stations(self, edits: Sequence[Edit]) -> Floats:
         """(B, F) metres along their paths of edits from one frame."""
         start, frames = edits[0].start, self._last - edits[0].start + 1
-        laws = [edit.law for edit in edits if edit.law is not None]
-        if len(laws) < len(edits):
-            pace = compute_recorded_stations(self.scene, self.agent, start, frames)
-            return np.tile(pace, (len(edits), 1))
-        paths = {id(edit.path): edit.path for edit in edits}
-        rows = np.searchsorted(known := np.sort(list(paths)), [id(edit.path) for edit in edits])
-        return compute_stations([paths[key] for key in known.tolist()], rows, laws, self._speed_at(start), frames)
+        stations, speed = np.empty((len(edits), frames)), self._speed_at(start)
+        timed = [row for row, edit in enumerate(edits) if isinstance(edit.law, SpeedLaw)]
+        leading = [row for row, edit in enumerate(edits) if isinstance(edit.law, LeadLaw)]
+        if len(timed) + len(leading) < len(edits):
+            stations[:] = compute_recorded_stations(self.scene, self.agent, start, frames)
+        if timed:
+            paths = {id(edits[row].path): edits[row].path for row in timed}
+            known = np.sort(list(paths))
+            rows = np.searchsorted(known, [id(edits[row].path) for row in timed])
+            laws = [law for row in timed if isinstance(law := edits[row].law, SpeedLaw)]
+            stations[timed] = compute_stations([paths[key] for key in known.tolist()], rows, laws, speed, frames)
+        if leading:
+            egos = [ego for row in leading if (ego := self._find_led(edits[row].path, start)) is not None]
+            laws_kept = [law for row in leading if isinstance(law := edits[row].law, LeadLaw)]
+            own = [edits[row].path for row in leading]
+            stations[leading] = compute_leading_stations(own, egos, laws_kept, speed, float(self._size[0]))
+        return stations
+
+    def _find_led(self, path: VehiclePath, start: int) -> LedEgo | None:
+        key = (id(path), start)
+        if key not in self._led:
+            self._led[key] = path, find_led_ego(path, self._tracks.ego[start:])
+        return self._led[key][1]
 
     def _place(self, edits: Sequence[Edit]) -> Floats:
         """(B, F, 3) poses of the box centre of points that keep to the paths of edits from one frame."""
@@ -310,6 +314,9 @@ class Retiming:
         rasters = _get_raster_footprints(self.scene)[edit.start :]
         if boxes_overlap(boxes[:, None], rasters).any() or is_blocking_ego(self.scene, boxes, self.hyper):
             return None
+        near = (box_gap(boxes, self._tracks.ego[edit.start :]) <= STICKING_M) & self._plans.moving[edit.start :]
+        if any(list_runs(near, self._tracks.seconds[edit.start :], STICKING_S)):
+            return None
         if not self._walks:
             center_off, corner_off = measure_off_road(self.scene, boxes, self.hyper)
             if center_off.mean() > self.hyper.most_off_road_share:
@@ -369,7 +376,7 @@ class Retiming:
 
 def _compute_worth(track: RetimedTrack | None) -> int:
     """Levels of pressure of a driven edit; -1 for one that cannot be."""
-    return -1 if track is None else _count_levels(track.edit.pressure)
+    return -1 if track is None else count_levels(track.edit.pressure)
 
 
 _get_graph: Final = IdentityCache[Scene, LaneGraph](lambda scene: LaneGraph(scene.road_map), kept=2)

@@ -43,7 +43,9 @@ def test_seeds_of_a_member_are_averaged_and_members_too() -> None:
     alone = measure_effect("s", scene, "blocking", {"one": [fast]})
     both = measure_effect("s", scene, "blocking", {"one": [fast, still]})
     assert both.members["one"] == pytest.approx(0.5 * alone.members["one"], abs=1e-6)
-    assert both.probability == pytest.approx(np.mean(list(both.members.values())), abs=1e-6)
+    assert both.probability == pytest.approx(
+        (2**0.5 * both.members["one"] + both.members[DISTRACTED]) / (2**0.5 + 1.0), abs=1e-6
+    )
 
 
 def test_samples_without_a_plan_do_not_count() -> None:
@@ -62,13 +64,13 @@ def test_the_distracted_driver_brakes_a_second_later() -> None:
     assert careful.free_from == late.free_from
 
 
-def effect(name: str, kind: str, probability: float) -> SceneEffect:
-    return SceneEffect(name, kind, {"one": probability})
+def effect(name: str, kind: str, probability: float, adversary: str = "") -> SceneEffect:
+    return SceneEffect(name, kind, (adversary or name,), {"one": (probability,)})
 
 
 def test_the_order_prefers_effect_then_new_kinds_and_drops_inert_scenes() -> None:
     found = [
-        effect("a", "cut-in-left", 0.5), effect("b", "cut-in-left", 0.4), effect("c", "crossing", 0.3),
+        effect("a", "cut-in-left", 0.5), effect("b", "cut-in-left", 0.33), effect("c", "crossing", 0.3),
         effect("d", "crossing", 0.0), effect("e", "oncoming", 0.1),
     ]  # fmt: skip
     effects = {each.name: each for each in found}
@@ -79,3 +81,11 @@ def test_the_order_prefers_effect_then_new_kinds_and_drops_inert_scenes() -> Non
 def test_further_scenes_of_a_recording_come_last() -> None:
     effects = {each.name: each for each in (effect("a", "x", 0.5), effect("b", "y", 0.4), effect("c", "z", 0.1))}
     assert order_scenes(effects, {"a": "one", "b": "one", "c": "two"}, 1) == ["a", "c", "b"]
+
+
+def test_the_same_adversary_does_the_same_once() -> None:
+    found = (effect("a", "x", 0.5, "car"), effect("b", "x", 0.4, "car"), effect("c", "x", 0.1, "truck"))
+    effects = {each.name: each for each in found}
+    assert order_scenes(effects, dict.fromkeys("abc", "one"), 2) == ["a", "c", "b"]
+    effects["b"] = effect("b", "y", 0.4, "car")
+    assert order_scenes(effects, dict.fromkeys("abc", "one"), 2) == ["a", "b", "c"]

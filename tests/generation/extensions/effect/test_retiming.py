@@ -12,8 +12,8 @@ from benchmark.road_map import Lane
 from benchmark.scene import Scene
 from generation.extensions.effect.driving import RetimedTrack, compute_recorded_stations
 from generation.extensions.effect.paths import LaneGraph, VehiclePath, list_lane_paths, list_recorded_paths
-from generation.extensions.effect.pressure import EgoPlans
-from generation.extensions.effect.retiming import LEVELS, Retiming, iterate_retimings
+from generation.extensions.effect.pressure import LEAST_PRESSURE, EgoPlans, count_levels
+from generation.extensions.effect.retiming import Retiming, iterate_retimings
 from generation.search.candidates import ExclusionReason, find_exclusion_reason
 from generation.search.hyperparameters import HyperParameters
 from generation.search.threat_settings import CandidateProposal
@@ -51,14 +51,14 @@ def test_a_leader_dawdles_on_its_path_and_the_recorded_ego_still_passes(leader: 
     assert find_broken_limit(boxes, DriverLimits()) is None
     speed = np.diff(boxes[:, 0]) * FRAME_HZ
     assert -4.4 <= (np.diff(speed) * FRAME_HZ).min() < -0.1
-    assert EgoPlans.of(scene).measure_pressure(boxes[None], track.start)[0] >= LEVELS[-1]
+    assert EgoPlans.of(scene).measure_pressure(boxes[None], track.start)[0] >= LEAST_PRESSURE
 
 
 def test_an_edit_is_as_weak_as_its_level_of_pressure_allows(leader: tuple[Scene, RetimedTrack]) -> None:
     scene, track = leader
-    level = next(level for level in LEVELS if track.edit.pressure >= level)
+    level = count_levels(track.edit.pressure)
     for weaker in Retiming(scene, 0, RETIMED).drive(track.edit, [0.9, 0.94]):
-        assert weaker is None or weaker.edit.pressure < level
+        assert weaker is None or count_levels(weaker.edit.pressure) < level
 
 
 def test_who_never_meets_the_ego_has_no_edit() -> None:
@@ -132,7 +132,7 @@ def test_a_pedestrian_crosses_earlier_on_request() -> None:
     boxes = boxes_of(scene, track)
     assert boxes[-1, 1] > scene.agents.position[0, -1, 1] + 0.5
     assert np.hypot(*np.diff(boxes[:, :2], axis=0).T).max() * FRAME_HZ < 1.3
-    assert EgoPlans.of(scene).measure_pressure(boxes[None], track.start)[0] >= LEVELS[-1]
+    assert EgoPlans.of(scene).measure_pressure(boxes[None], track.start)[0] >= LEAST_PRESSURE
 
 
 SWERVED = replace(RETIMED, proposal=CandidateProposal.SWERVED)

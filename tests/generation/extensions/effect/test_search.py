@@ -76,7 +76,7 @@ def test_the_root_and_its_records_name_the_panel(built: Path, tmp_path: Path) ->
     assert made["panel"] == "steady (seeds 0-1)"
     record = evaluate(open_data(built), "adv", Drivers(), tmp_path, EvalSettings(protocols=("exact",)))
     (caveat,) = (caveat for caveat in record.run.caveats or () if caveat.kind == "panel")
-    assert caveat.sentence.endswith("steady (seeds 0-1): these planners are not held out")
+    assert caveat.sentence.endswith("steady (seeds 0-1), which is not held out")
 
 
 def test_each_adversary_has_a_conflict(built: Path) -> None:
