@@ -47,6 +47,7 @@ class BuildReport:
             and how many are ``written``.
         panel: Members of the panel that ranked the scenes, the numbers of their seeds, and what it found; no part of
             the JSON where there was none.
+        panel_s: Processor seconds that it took; no part of the JSON.
         runtime: How long the work took, on this or an earlier run; no part of the JSON, which is the same every time.
         unlabelled: Recorded scenes that were skipped because they have no annotations; no part of the JSON where there
             are none.
@@ -67,6 +68,7 @@ class BuildReport:
     requests: dict[str, dict[str, int]] = field(default_factory=dict)
     surrogate: dict[str, Any] | None = None
     panel: dict[str, Any] | None = None
+    panel_s: float = 0.0
     estimate: WorkEstimate | None = None
     runtime: RuntimeTable | None = None
     dry_run: bool = False
@@ -110,7 +112,7 @@ class BuildReport:
     def as_json(self) -> dict[str, Any]:
         """The report as JSON values."""
         values = asdict(self)
-        del values["runtime"]
+        del values["runtime"], values["panel_s"]
         values["unlabelled"] = list(self.unlabelled)
         if self.panel is None:
             del values["panel"]
@@ -181,7 +183,7 @@ class BuildReport:
         if self.panel is not None:
             lines.append(
                 f"  panel: {', '.join(self.panel['members'])}, distracted; {self.panel['inert']} inert of "
-                f"{pluralise(self.survived, 'scene')}"
+                f"{pluralise(self.survived, 'scene')}; {self.panel_s:.0f} s of a processor"
             )
         if self.surrogate is not None:
             lines.append(

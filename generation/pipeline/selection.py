@@ -1,5 +1,6 @@
 """Generated scenes that are written: most challenging, failed by the surrogate, not rejected, and varied."""
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -101,8 +102,8 @@ def find_rejected_jobs(
 class SceneSelection:
     """Scenes that are written, best first; ``left_out`` were rejected and have the numbers of their variants.
 
-    ``panel`` says who ranked them, and by what. ``staging`` is the data set that the surrogate was judged on,
-    ``staged`` has its content keys by name of the scene.
+    ``panel`` says who ranked them, and by what, ``panel_s`` how many processor seconds that took. ``staging`` is the
+    data set that the surrogate was judged on, ``staged`` has its content keys by name of the scene.
     """
 
     chains: list[AdversaryChain]
@@ -112,6 +113,7 @@ class SceneSelection:
     staged: dict[str, str] | None = None
     left_out: tuple[tuple[int, StandingVerdict], ...] = ()
     panel: dict[str, Any] | None = None
+    panel_s: float = 0.0
 
     def reuse_pictures(self, plan: DataSetPlan) -> None:
         """Put pictures that were drawn for the surrogate where they belong."""
@@ -130,15 +132,16 @@ def select_scenes(source: DataSet, plan: DataSetPlan, found: SearchResult, setti
             found.drop(chain, DropReason.REJECTED)
     order = [chain for chain in order if chain.name not in rejected]
     left_out = tuple(rejected.values())
-    panel = None
+    panel, started = None, time.process_time()
     if settings.panel is not None and order:
         order, inert, panel = import_from_extension("search", "panel")(source, order, settings.panel)
         for chain in inert:
             found.drop(chain, DropReason.INERT)
+    panel_s = time.process_time() - started
     if settings.surrogate is None or not order:
         selected = _select_most_challenging(found, order, settings)
         own = number_jobs(plan, [by_name[chain.name] for chain in selected], source)
-        return SceneSelection(selected, own, left_out=left_out, panel=panel)
+        return SceneSelection(selected, own, left_out=left_out, panel=panel, panel_s=panel_s)
     staging, jobs = build_staging_plan(plan, settings.surrogate), [by_name[chain.name] for chain in order]
     keys = write_scenes(
         staging,
@@ -159,7 +162,7 @@ def select_scenes(source: DataSet, plan: DataSetPlan, found: SearchResult, setti
     selected = _select_most_challenging(found, failing, settings)
     staged = {job.name: key for job, key in zip(jobs, keys, strict=True)}
     own = number_jobs(plan, [by_name[chain.name] for chain in selected], source)
-    return SceneSelection(selected, own, judgement, staging, staged, left_out, panel)
+    return SceneSelection(selected, own, judgement, staging, staged, left_out, panel, panel_s)
 
 
 def _select_most_challenging(

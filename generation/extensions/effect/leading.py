@@ -15,9 +15,9 @@ from generation.extensions.effect.paths import SPACING_M, VehiclePath
 GAPS_M: Final = (1.1, 1.6, 2.4)
 """Between the bodies; nearer than 1 m for long is a fault of behaviour."""
 CLOSER_SHARE: Final = 0.4
-CLOSER_S: Final = 1.5
-CLOSER_AT: Final = (0.35, 0.65, None)
-"""Share of the gap that is left for so long, from a share of the remaining time on, or never."""
+CLOSER_S: Final = 1.2
+TIMES_CLOSER: Final = (0, 1, 2, 3)
+"""Share of the gap that is left for so long, and how often, evenly spread over the remaining time."""
 LEAVING_S, LEAVING_M = 2.5, 3.0
 """Before the end it leaves the ego behind, so far."""
 ON_M: Final = 1.6
@@ -35,10 +35,10 @@ FASTER: Final = 1.2
 
 @dataclass(frozen=True, slots=True)
 class LeadLaw:
-    """A gap of ``gap_m`` in front of the ego, smaller for a moment from ``closer_at`` of the remaining time on."""
+    """A gap of ``gap_m`` in front of the ego that is smaller for a moment so many ``times``."""
 
     gap_m: float
-    closer_at: float | None
+    times: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class LedEgo:
     fastest: float
 
 
-LEAD_LAWS: Final = tuple(LeadLaw(gap, at) for gap in GAPS_M for at in CLOSER_AT)
+LEAD_LAWS: Final = tuple(LeadLaw(gap, times) for gap in GAPS_M for times in TIMES_CLOSER)
 
 
 def find_led_ego(path: VehiclePath, boxes: Floats) -> LedEgo | None:
@@ -88,7 +88,7 @@ def compute_leading_stations(
     felt = np.gradient(led, step, axis=1) if frames > 1 else np.zeros_like(target)
     most = np.array([max(FASTER * ego.fastest, start_speed) for ego in egos])
     bends, rows = compute_bend_speeds(paths), np.arange(len(paths))
-    speed, acceleration, driven = np.full(len(laws), start_speed), np.zeros(len(laws)), np.zeros_like(target)
+    speed, acceleration, driven = np.full(len(laws), start_speed), np.zeros(len(laws)), np.zeros(target.shape)
     for frame in range(1, frames):
         at = np.minimum((driven[:, frame - 1] / SPACING_M).astype(np.int64), bends.shape[1] - 1)
         left = target[:, frame - 1] - driven[:, frame - 1]
@@ -105,8 +105,8 @@ def _compute_gaps(law: LeadLaw, frames: int) -> Floats:
     """(F,) metres between the bodies that a law asks for, without corners."""
     left = np.arange(frames)[::-1] / FRAME_HZ
     gap = np.full(frames, law.gap_m) + LEAVING_M * np.clip(1.0 - left / LEAVING_S, 0.0, 1.0)
-    if law.closer_at is not None:
-        since = np.arange(frames) / FRAME_HZ - law.closer_at * frames / FRAME_HZ
-        near = np.clip(1.0 - np.maximum(np.abs(since - 0.5 * CLOSER_S) - 0.5 * CLOSER_S, 0.0), 0.0, 1.0)
+    since = np.arange(frames) / FRAME_HZ
+    for middle in since[-1] * np.arange(1, law.times + 1) / (law.times + 1):
+        near = np.clip(1.0 - np.maximum(np.abs(since - middle) - 0.5 * CLOSER_S, 0.0), 0.0, 1.0)
         gap -= (1.0 - CLOSER_SHARE) * law.gap_m * near
-    return gap
+    return np.asarray(gap)

@@ -25,7 +25,7 @@ def find_passings(tracks: ContinuousTracks, agent: int, moving: Bools) -> list[t
     gap[at] = box_gap(boxes[at], ego[at])
     aside = to_local(ego[:, :2], boxes[:, [0, 1, 4]])[:, 1]
     gap[(np.abs(aside) < BESIDE_M) | (gap > PASSING_M) | (gap <= LEAST_GAP_M)] = np.inf
-    found = []
+    found: list[tuple[int, float, float, bool]] = []
     while np.isfinite(gap).any() and len(found) < MOST_PASSINGS:
         frame = int(np.argmin(gap))
         turned = np.abs(wrap_angle(boxes[frame, 4] - ego[frame, 4]))

@@ -97,7 +97,7 @@ class EgoPlans:
             ahead = to_local(boxes[row, at[column], :2], plans[column, plan][:, [0, 1, 4]])[..., 0]
             hit &= ahead > -0.5 * plans[column, plan, 2]
             column = column[hit]
-            np.maximum.at(touched, (row[hit], sample[column], plan), soon[instant[column]])
+            np.maximum.at(touched[:, :, plan], (row[hit], sample[column]), soon[instant[column]])
         return np.asarray(touched.mean(axis=(1, 2)))
 
 

@@ -41,16 +41,17 @@ def test_a_build_from_python_searches_as_the_command_does() -> None:
 def test_effect_searches_for_threat_nearness_and_edits() -> None:
     first, further = build_hyper_parameters("effect"), build_further_settings("effect")
     assert first == replace(build_hyper_parameters(), behaviour=True)
-    assert [hyper.threatens for hyper in further] == [True, False, False, False]
-    assert [hyper.proposal.value for hyper in further] == ["sampled", "retimed", "rerouted", "swerved"]
+    assert [hyper.threatens for hyper in further] == [True, False, False, False, True]
+    assert [hyper.proposal.value for hyper in further] == ["sampled", "retimed", "rerouted", "swerved", "sampled"]
+    assert further[-1] == first
     assert all(hyper.behaviour and hyper.careful_survives for hyper in further)
     assert [build_further_settings(preset) for preset in PRESETS if preset != "effect"] == [()] * 4
 
 
 def test_a_change_reaches_further_searches_that_have_the_same_value() -> None:
-    near, retimed, rerouted, swerved = build_further_settings(
-        "effect", {"candidates": 64}, ["threat_weight=5", "half_extent_m=40", "tries=4"]
-    )
+    given = {"candidates": 64}, ["threat_weight=5", "half_extent_m=40", "tries=4"]
+    near, retimed, rerouted, swerved, again = build_further_settings("effect", *given)
+    assert again == build_hyper_parameters("effect", *given)
     assert (near.candidates, near.threat_weight, near.half_extent_m, near.tries) == (64, 0.0, 40.0, 4)
     assert (retimed.threat_weight, retimed.half_extent_m, retimed.tries) == (0.0, 40.0, 6)
     assert rerouted.half_extent_m == swerved.half_extent_m == 40.0

@@ -76,6 +76,11 @@ def test_the_newest_has_the_highest_number(tmp_path: Path, monkeypatch: pytest.M
     assert list_packaged_splits("mini") == ("mini-adv-2", "mini-adv-9", "mini-adv-10")
     assert read_newest_split("mini").name == "mini-adv-10"
     assert list_packaged_splits()[0] == "maxi-adv-11"
+    ranked = split()
+    chosen = ranked.chosen.model_copy(update={"panel": "noisy-log (seeds 0-9)"})
+    write_frozen(tmp_path / "mini-adv-11.json", ranked.model_copy(update={"chosen": chosen}))
+    assert list_packaged_splits("mini")[-1] == "mini-adv-11"
+    assert read_newest_split("mini").name == "mini-adv-10", "planners of a panel are not held out"
     with pytest.raises(InputError, match="no frozen split adv of midi"):
         read_newest_split("midi")
 

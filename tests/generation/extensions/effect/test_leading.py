@@ -44,7 +44,7 @@ def gaps(boxes: Floats, law: LeadLaw, start_speed: float) -> tuple[Floats, Float
 
 
 def test_the_ego_comes_up_to_the_gap_and_is_left_behind_at_the_end() -> None:
-    law = LeadLaw(1.6, None)
+    law = LeadLaw(1.6, 0)
     gap, speed = gaps(ego_boxes(25.0, np.full(FRAMES, 8.0)), law, 8.0)
     assert gap[0] > 15.0
     settled = gap[100 : FRAMES - round(LEAVING_S * FRAME_HZ)]
@@ -56,14 +56,14 @@ def test_the_ego_comes_up_to_the_gap_and_is_left_behind_at_the_end() -> None:
 
 def test_it_is_closer_for_a_moment() -> None:
     boxes = ego_boxes(10.0, np.full(FRAMES, 8.0))
-    steady, closer = (gaps(boxes, LeadLaw(2.4, at), 8.0)[0] for at in (None, 0.5))
+    steady, closer = (gaps(boxes, LeadLaw(2.4, times), 8.0)[0] for times in (0, 1))
     assert closer.min() < steady[60:150].min() - 0.7
     assert (closer < 1.5).sum() / FRAME_HZ < 3.0
 
 
 def test_it_waits_for_an_ego_that_stops() -> None:
     speed = np.concatenate([np.full(60, 8.0), np.linspace(8.0, 0.0, 40), np.zeros(FRAMES - 100)])
-    gap, own = gaps(ego_boxes(10.0, speed), LeadLaw(1.6, None), 8.0)
+    gap, own = gaps(ego_boxes(10.0, speed), LeadLaw(1.6, 0), 8.0)
     assert 0.5 < gap[120] < 3.5 and own[120:150].max() < 1.0
 
 
@@ -75,5 +75,5 @@ def test_an_ego_elsewhere_or_of_the_other_way_is_not_led(aside: float, turn: flo
 
 
 def test_a_vehicle_never_reverses_to_meet_an_ego_far_behind() -> None:
-    _, speed = gaps(ego_boxes(100.0, np.full(FRAMES, 8.0)), LeadLaw(1.1, None), 5.0)
+    _, speed = gaps(ego_boxes(100.0, np.full(FRAMES, 8.0)), LeadLaw(1.1, 0), 5.0)
     assert speed.min() >= 0.0
