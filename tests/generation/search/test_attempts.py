@@ -184,3 +184,12 @@ def test_presets_that_follow_others_are_not_told_the_speed_and_draw_nothing_agai
     assert (ours.samples.value, ours.conditioned, ours.drivable) == ("fresh", True, True)
     assert (theirs.samples.value, theirs.conditioned, theirs.drivable) == ("reference", False, False)
     assert build_trajectory_model("paper", samples="stored").sampler.samples.value == "stored"
+
+
+def test_settings_that_occur_again_draw_by_the_next_seed(tmp_path: Path) -> None:
+    first = replace(search_in(tmp_path, 5), further=(replace(HYPER, threat_weight=7.0), HYPER, HYPER))
+    families = first.families
+    assert [one.seed for one in families] == [5, 5, 6, 7] and all(not one.further for one in families)
+    assert len({one.family for one in families}) == 4 and families[0].family == ""
+    again = SearchUnit("scene", 0, "car", family=families[2].family)
+    assert families[2].key(again) == replace(first, seed=6, further=()).key(replace(again, family=""))
