@@ -87,7 +87,11 @@ AsPublished = Annotated[
 ]
 Preset = Annotated[
     Literal["default", "effect", "near", "paper", "reference"],
-    Option("default, near (no threats), paper (text), reference (code); --dry-run lists departures.", "Search"),
+    Option(
+        "default, effect (a panel chooses), near (no threats), paper (text), reference (code); --dry-run lists "
+        "departures.",
+        "Search",
+    ),
 ]
 Set = Annotated[
     tuple[str, ...] | None,

@@ -14,10 +14,10 @@ from generation.extensions.effect.paths import SPACING_M, VehiclePath
 
 GAPS_M: Final = (1.1, 1.6, 2.4)
 """Between the bodies; nearer than 1 m for long is a fault of behaviour."""
-CLOSER_SHARE: Final = 0.4
-CLOSER_S: Final = 1.2
-TIMES_CLOSER: Final = (0, 1, 2, 3)
-"""Share of the gap that is left for so long, and how often, evenly spread over the remaining time."""
+CLOSER_SHARE: Final = 0.5
+CLOSER_S, CHANGING_S = 1.8, 0.6
+TIMES_CLOSER: Final = (0, 1, 2, 3, 4)
+"""Share of the gap that is left for so long, how fast that changes, and how often, evenly over the remaining time."""
 LEAVING_S, LEAVING_M = 2.5, 3.0
 """Before the end it leaves the ego behind, so far."""
 ON_M: Final = 1.6
@@ -107,6 +107,6 @@ def _compute_gaps(law: LeadLaw, frames: int) -> Floats:
     gap = np.full(frames, law.gap_m) + LEAVING_M * np.clip(1.0 - left / LEAVING_S, 0.0, 1.0)
     since = np.arange(frames) / FRAME_HZ
     for middle in since[-1] * np.arange(1, law.times + 1) / (law.times + 1):
-        near = np.clip(1.0 - np.maximum(np.abs(since - middle) - 0.5 * CLOSER_S, 0.0), 0.0, 1.0)
+        near = np.clip(1.0 - (np.abs(since - middle) - 0.5 * CLOSER_S) / CHANGING_S, 0.0, 1.0)
         gap -= (1.0 - CLOSER_SHARE) * law.gap_m * near
     return np.asarray(gap)

@@ -14,6 +14,7 @@ import shapely
 
 from benchmark.constants import FRAME_HZ
 from benchmark.dynamics.bicycle import MotionModel
+from benchmark.fairness.validity import HOVERING_M, HOVERING_S
 from benchmark.geometry import Bools, Floats, box_gap, boxes_overlap
 from benchmark.interactions.driver_outcomes import CollisionChecker
 from benchmark.interactions.driver_simulation import DrivingSituation, ReferenceDriver, simulate_drivers
@@ -314,8 +315,9 @@ class Retiming:
         rasters = _get_raster_footprints(self.scene)[edit.start :]
         if boxes_overlap(boxes[:, None], rasters).any() or is_blocking_ego(self.scene, boxes, self.hyper):
             return None
-        near = (box_gap(boxes, self._tracks.ego[edit.start :]) <= STICKING_M) & self._plans.moving[edit.start :]
-        if any(list_runs(near, self._tracks.seconds[edit.start :], STICKING_S)):
+        gap, seconds = box_gap(boxes, self._tracks.ego[edit.start :]), self._tracks.seconds[edit.start :]
+        sticks = list_runs((gap <= STICKING_M) & self._plans.moving[edit.start :], seconds, STICKING_S)
+        if any(sticks) or any(list_runs(gap < HOVERING_M, seconds, HOVERING_S)):
             return None
         if not self._walks:
             center_off, corner_off = measure_off_road(self.scene, boxes, self.hyper)
