@@ -57,9 +57,8 @@ class SceneEffect:
 
     @property
     def probability(self) -> float:
-        """Of the members together: their mean, weighted by the root of their seeds."""
-        weights = [len(rates) ** 0.5 for rates in self.runs.values()]
-        return round(float(np.average(list(self.members.values()), weights=weights)), DIGITS)
+        """Of all runs together: their mean."""
+        return round(float(np.mean(np.concatenate(list(self.runs.values())))), DIGITS)
 
 
 def rank_by_effect(
@@ -67,8 +66,8 @@ def rank_by_effect(
 ) -> tuple[list[AdversaryChain], list[AdversaryChain], dict[str, Any]]:
     """Scenes in the order in which they should be kept, inert ones, and what is said of both.
 
-    The next one is that with the largest probability that a member of the panel touches the adversary, divided by one
-    more than the number of earlier ones of the same primary manoeuvre. In inert scenes none ever does.
+    The next one is that with the largest probability that a member of the panel touches the adversary, divided by
+    1 + `ALIKE` times the earlier ones of the same primary manoeuvre. In inert scenes none ever does.
     """
     effects = {
         chain.name: effect

@@ -112,15 +112,11 @@ class Retiming:
             return self._select_by_start(self._list_swerves())
         found: list[Edit] = []
         for start in self._list_starts():
-            speed = self._speed_at(start)
-            edits = [
-                Edit(path, start, law)
-                for path in self._list_paths(start)
-                for law in (
-                    *list_laws(path.kind, speed, self._fastest),
-                    *(LEAD_LAWS if self._find_led(path, start) is not None and not self._walks else ()),
-                )
-            ]
+            edits: list[Edit] = []
+            for path in self._list_paths(start):
+                led = not self._walks and self._find_led(path, start) is not None
+                edits += [Edit(path, start, law) for law in list_laws(path.kind, self._speed_at(start), self._fastest)]
+                edits += [Edit(path, start, law) for law in (LEAD_LAWS if led else ())]
             found += self._select(edits)
         return sorted(found, key=_rank_edit)
 

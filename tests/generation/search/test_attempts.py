@@ -120,7 +120,7 @@ def test_keys_tell_everything_apart_that_changes_a_result(tmp_path: Path) -> Non
 
 
 def test_times_lie_beside_and_never_in_results(search: Search) -> None:
-    table = build_runtime_table([search.timing_path(unit) for unit in UNITS], [])
+    table = build_runtime_table([search.timing_path(search.key(unit)) for unit in UNITS], [])
     assert table.attempts == len(UNITS)
     assert table.total_s["physics"] > 0.0
     stored = open_attempt_store(search).get(search.key(UNITS[0]))

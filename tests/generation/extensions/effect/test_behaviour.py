@@ -20,7 +20,7 @@ TOUCHING = 50 + EGO_CENTER_FROM_REAR_AXLE_M + 0.5 * (EGO_LENGTH_M + 4.6) * np.ar
 FAR = Car(300.0, 205.25, 0.0, np.pi)
 
 
-def drive(x: Floats, y: Floats | float, yaw: Floats | float, *others: Car) -> Scene:
+def drive(x: Floats | float, y: Floats | float, yaw: Floats | float, *others: Car) -> Scene:
     """The ego drives at 8 m/s from x = 50 on y = 198.25; agent 0 is the adversary from the first frame on."""
     scene = scene_on_straight_road((FAR, *others), seconds=SECONDS)
     poses = np.column_stack(np.broadcast_arrays(x, y, yaw)).astype(np.float64)

@@ -1,5 +1,7 @@
 """Who was first on the recording and who is now, in numbers and in a sentence."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -16,7 +18,7 @@ def changed(scene: Scene, start: int, poses: Floats) -> Scene:
     return scene.with_adversary(0, slice(start, start + len(poses)), poses)
 
 
-def describe(recorded: Scene, adversarial: Scene, start: int) -> dict[str, object]:
+def describe(recorded: Scene, adversarial: Scene, start: int) -> dict[str, Any]:
     (conflict,) = describe_conflicts(recorded, adversarial, [(recorded.agents.ids[0], start)])
     return conflict
 

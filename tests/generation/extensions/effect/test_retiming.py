@@ -105,7 +105,7 @@ def test_routes_branch_and_end() -> None:
     first = np.array([[0.0, 0.0], [20.0, 0.0]])
     lanes = {
         "a": Lane("a", first, None, ("b", "c", "gone"), (), False),
-        "b": Lane("b", first + [20, 0], None, ("a",), ("a",), False),
+        "b": Lane("b", first + [20.0, 0.0], None, ("a",), ("a",), False),
         "c": Lane("c", np.array([[20.0, 0.0], [30.0, 10.0]]), None, (), ("a",), False),
     }
     graph = LaneGraph(replace(straight_road(), lanes=lanes))
