@@ -101,3 +101,40 @@ def require_servable(planner: "Planner") -> None:
         )
     if remembers_across_scenes(planner):
         raise InputError(f"{planner.name} keeps state across scenes, but each scene on the wire begins anew")
+
+
+def serve_traffic(
+    protocol: str = "alpasim-traffic",
+    *,
+    host: str | None = "127.0.0.1",
+    port: int | None = 0,
+    seed: int = 0,
+    options: Mapping[str, Any] | None = None,
+) -> "PlannerService":
+    """Traffic for another simulator: everybody but the ego, one of them challenging it (docs/extensions/alpasim.md).
+
+    Args:
+        protocol: ``alpasim-traffic``.
+        host: Where to listen; this machine alone by default, and for ``None`` what is usual for the protocol.
+        port: Where; 0 takes a free one, ``None`` what is usual for the protocol.
+        seed: Added to that of each session.
+        options: Values of the protocol's own options, as ``serve`` has them.
+
+    Returns:
+        It listens; ``with`` answers in a thread, `serve` until interrupted.
+
+    Raises:
+        InputError: If the adversary's extension or the protocol's is not installed, or the port is taken.
+    """
+    from benchmark.closed_loop.adversary import ADVERSARY
+    from benchmark.machine.extension import import_from_extension
+
+    found, own = find_serving_protocol(protocol), dict(options or {})
+    agents, maker = own.pop("traffic", ADVERSARY), None
+    budget = {name: own.pop(f"adversary_{name}", None) for name in ("rounds", "candidates")}
+    every_s, others = own.pop("adversary_every", 1.0), own.pop("adversary_others", "replay")
+    if agents == ADVERSARY:
+        build = import_from_extension("agents", ADVERSARY)
+        maker = build(knows="motion-only", every_s=every_s, others=others, **budget)
+    server: PlannerService = found.make(maker, *found.find_address(host, port), agents=agents, seed=seed, **own)
+    return server

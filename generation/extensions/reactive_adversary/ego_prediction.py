@@ -1,6 +1,6 @@
 """Where an adversary takes the ego to be at every frame of a scene: where it has been, and what is expected of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Self
 
 import numpy as np
@@ -87,10 +87,27 @@ def predict_ego(scene: Scene, seen: EgoObservations, plan: ActivePlan | None, kn
     elif knows is EgoPrediction.NOTHING:
         poses[~past] = seen.poses[-1]
     else:
-        on_its_way = _predict_on_route(scene, seen, seconds)
+        on_its_way = None if knows is EgoPrediction.MOTION_ONLY else _predict_on_route(scene, seen, seconds)
         poses[~past] = _predict_steady_motion(seen, seconds) if on_its_way is None else on_its_way
     position = np.column_stack([poses[:, :2], scene.ego.position[:, 2]])
-    return EgoTrack(position, quaternion_from_yaw(poses[:, 2]))
+    return replace(scene.ego, position=position, rotation=quaternion_from_yaw(poses[:, 2]))
+
+
+def hide_future(scene: Scene, now_us: int) -> Scene:
+    """The scene as it is known at a time to who knows motion only: the ego keeps its speed and its turn from then on.
+
+    No later frame of the ego's recording is read.
+    """
+    past = max(int(np.searchsorted(scene.timestamps_us, now_us, side="right")), 1)
+    times, poses = scene.timestamps_us[:past], scene.ego.pose[:past]
+    first = int(np.searchsorted(times, times[-1] - _TURN_US))
+    span = (times[-1] - times[first]) / 1e6
+    ahead = (poses[-1, :2] - poses[first, :2]) @ [np.cos(poses[-1, 2]), np.sin(poses[-1, 2])]
+    seen = EgoObservations(times, poses, max(float(ahead) / span, 0.0) if span > 0.0 else 0.0)
+    position = scene.ego.position.copy()
+    position[past:] = position[past - 1]
+    known = replace(scene, ego=replace(scene.ego, position=position))
+    return replace(known, ego=predict_ego(known, seen, None, EgoPrediction.MOTION_ONLY), sweep_poses=None)
 
 
 def _predict_on_route(scene: Scene, observed: EgoObservations, seconds: Floats) -> Floats | None:

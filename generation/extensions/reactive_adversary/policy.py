@@ -46,6 +46,7 @@ from generation.search.refinement import Refinement, ResamplingUnderflowError, c
 
 MOST_CANDIDATES_CHECKED: Final = 96
 """Candidates that are asked after the best one of a search, where that may not be driven."""
+_NO_SCRIPT: Final = (EgoPrediction.RECORDING, EgoPrediction.MOTION_ONLY)
 _FAR_M: Final = 5.0
 """Nearer than this to the edge of the area around the ego, an adversary looks at the road around itself."""
 
@@ -122,7 +123,7 @@ class ReactiveAdversary:
             state=planning.compute_first_state(),
             track=first[None],
             ahead=np.repeat(first[None], AHEAD_FRAMES, axis=0),
-            ending=self._find_recorded_ending(first, time_us),
+            ending=self._find_first_ending(first, time_us, planning.compute_first_state()),
             randomness=rng.bit_generator.state,
         )
         return own, moved
@@ -183,10 +184,17 @@ class ReactiveAdversary:
             on_scripted_track=chosen.on_scripted_track,
         )
 
-    def _find_recorded_ending(self, first: Floats, time_us: int) -> Floats:
-        """(K, 3) the rest of its recording after the hand-over, or brakes where that ends or touches another."""
+    def _find_first_ending(self, first: Floats, time_us: int, state: VehicleState) -> Floats:
+        """(K, 3) the rest of its recording after the hand-over, or brakes where that ends or touches another.
+
+        Brakes alone where the scene was made with its track and that is not known.
+        """
         scene, agents = self.scene, self.scene.agents
         around = SurroundingTracks.of(scene, self.agent, self.start, time_us)
+        if agents.ids[self.agent] in scene.adversaries and self.settings.knows is EgoPrediction.MOTION_ONLY:
+            path = np.repeat(first[None], 2, axis=0)
+            brakes = [self._slow_on_path(path, around.frame_seconds, state, braking) for braking in BRAKING_M_S2]
+            return around.find_longest(brakes)[1:]
         absent = np.flatnonzero(~agents.valid[self.agent, self.start :])
         recorded = slice(self.start, self.start + int(absent[0]) if len(absent) else None)
         poses = np.column_stack([agents.position[self.agent, recorded, :2], agents.yaw[self.agent, recorded]])
@@ -199,7 +207,7 @@ class ReactiveAdversary:
     ) -> _ChosenMotion | None:
         """The rest of the track that the scene was made with, if the adversary is still on it and may drive it."""
         known = self.scene.agents.ids[self.agent] in self.scene.adversaries
-        if not known or not memory.on_scripted_track or self.settings.knows is EgoPrediction.RECORDING:
+        if not known or not memory.on_scripted_track or self.settings.knows in _NO_SCRIPT:
             return None
         agents = scene.agents
         last = len(scene.timestamps_us) - 1
