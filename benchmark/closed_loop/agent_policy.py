@@ -105,7 +105,7 @@ class TrafficSnapshot:
         present: (N,) which are there.
         velocity: (N, 2) m/s.
         plan: The ego's plan in force, for policies that are allowed to know it; ``None`` before there is any.
-        ego_after: (5,) the ego's box 0.1 s later, for traffic of other simulators, whose contract tells it; or ``None``.
+        ego_after: (5,) the ego's box 0.1 s later, which the contract of other simulators' traffic tells; or ``None``.
     """
 
     time_us: int

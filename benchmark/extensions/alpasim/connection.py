@@ -113,7 +113,8 @@ class EgodriverConnection:
             )
         if code is grpc.StatusCode.UNIMPLEMENTED:
             return PlannerGoneError(
-                f"{self._where} has no {method}; it is no {self._prefix.strip('/').split('.')[-1]}; check the address"
+                f"{self._where} has no {method}; it is no {self._prefix[1:].partition('.')[0]} service; check the "
+                "address"
             )
         if code is grpc.StatusCode.NOT_FOUND and method not in ("start_session", "close_session"):
             return PlannerAwayError(f"{self._where} has lost its session ({said}): it was started again")

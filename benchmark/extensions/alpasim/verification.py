@@ -221,7 +221,7 @@ _STRICTER: Final = ("nan_position", "starts_0.3s_in_past", "all_in_past")
 """Taken by AlpaSim's runtime, which then rolls, or drives a displaced plan; not by ours."""
 
 
-def _compare_reactions(comparison: Comparison, folder: GoldenFolder) -> None:
+def compare_reactions(comparison: Comparison, folder: GoldenFolder) -> None:
     """Answers that are not as they should be: what AlpaSim's runtime fails at, ours does not take."""
     now = Poses(np.array([_NOW_US]), np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]]))
     for name, told in folder.facts("bad_driver.json").items():
@@ -269,11 +269,4 @@ SESSIONS: Final = GoldenSet(
     quantities={"routes, m": 1e-4},
     usual="sessions",
     holds="recorded sessions of AlpaSim",
-)
-REACTIONS: Final = GoldenSet(
-    name="alpasim reactions",
-    files=("bad_driver.json",),
-    compare=(_compare_reactions,),
-    usual="reactions",
-    holds="reactions of AlpaSim's runtime",
 )

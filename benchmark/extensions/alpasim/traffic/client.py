@@ -220,7 +220,7 @@ def ask(connection: EgodriverConnection, method: str, message: Any, deadline_s: 
 
 @dataclass(frozen=True, slots=True)
 class RemoteTrafficMaker:
-    """Puts a TrafficService in the place of an adversary (`AdversaryFactory`); ``version`` is its own name of itself."""
+    """Puts a TrafficService in the place of an adversary (`AdversaryFactory`); ``version`` is what it calls itself."""
 
     address: Address
     version: str

@@ -1,4 +1,4 @@
-"""A road where there is no map: where logged vehicles drove, as wide as lanes, with the directions that they drove in."""
+"""A road where there is no map: where logged vehicles drove, as wide as lanes, and in which direction."""
 
 from collections.abc import Sequence
 from typing import Final

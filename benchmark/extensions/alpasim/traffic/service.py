@@ -34,7 +34,8 @@ _NOBODY: Final = "nobody"
 class SessionEnd(Protocol):
     """What is made of a session that has ended."""
 
-    def __call__(self, world: SessionWorld, settings: "TrafficSettings") -> None: ...
+    def __call__(self, world: SessionWorld, settings: "TrafficSettings") -> None:
+        """Take what is left of it."""
 
 
 @dataclass(frozen=True, slots=True)

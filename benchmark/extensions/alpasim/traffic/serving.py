@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmark.closed_loop.adversary import AdversaryFactory
 from benchmark.extensions.alpasim.server import GrpcServer
-from benchmark.extensions.alpasim.traffic.service import TrafficService, TrafficSettings
+from benchmark.extensions.alpasim.traffic.service import SessionEnd, TrafficService, TrafficSettings
 from benchmark.extensions.alpasim.traffic.session_log import EGO
 from benchmark.extensions.alpasim.traffic.session_world import SessionWorld
 from benchmark.report.words import pluralise
@@ -14,11 +14,18 @@ from benchmark.untrusted.files import GRPC_SESSION, to_one_line
 
 
 def make_traffic_server(
-    maker: AdversaryFactory | None, host: str, port: int, *, agents: str, seed: int, adversary: str = ""
+    maker: AdversaryFactory | None,
+    host: str,
+    port: int,
+    *,
+    agents: str,
+    seed: int,
+    adversary: str = "",
+    ended: SessionEnd | None = None,
 ) -> GrpcServer:
-    """A server that listens; arguments are those of `TrafficSettings`."""
+    """A server that listens; arguments are those of `TrafficSettings`, ``ended`` prints a line by default."""
     settings = TrafficSettings(agents, maker, adversary, seed=seed)
-    service = TrafficService(settings, report_session)
+    service = TrafficService(settings, ended or report_session)
     return GrpcServer(service, host, port, GRPC_SESSION, service.close)
 
 

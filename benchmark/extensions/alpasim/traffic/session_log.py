@@ -1,4 +1,4 @@
-"""What a traffic session tells at its start, checked: the tracks of all, and of the ego those poses alone that are past.
+"""What a traffic session tells at its start, checked: the tracks of all, and of the ego only what is past.
 
 ``docs/extensions/alpasim.md``. All values are as they were sent, in single precision; poses are of box centres in the
 session's local frame.
@@ -164,7 +164,7 @@ def require_poses(poses: Poses, what: str) -> None:
 
 
 def find_category(label: str, size: Sequence[float] | Floats) -> str:
-    """nuScenes' category of a class of AlpaSim's, or of a body where the class is unknown."""
+    """NuScenes' category of a class of AlpaSim's, or of a body where the class is unknown."""
     if label in CATEGORIES:
         return label
     if label in _CATEGORY_OF_CLASS:

@@ -1,4 +1,4 @@
-"""Recorded traffic sessions of AlpaSim's runtime against our service, and answers that it fails at against our client."""
+"""Recorded traffic sessions of AlpaSim's runtime against our service, and its reactions to bad answers against ours."""
 
 from typing import Any, Final
 
@@ -9,7 +9,7 @@ from benchmark.extensions.alpasim.poses import SECOND_US, Poses, encode_trajecto
 from benchmark.extensions.alpasim.traffic.answers import TrafficAnswerError, find_faults, read_traffic
 from benchmark.extensions.alpasim.traffic.service import TrafficService, TrafficSettings
 from benchmark.extensions.alpasim.traffic.session_log import EGO, LoggedTrack, read_session
-from benchmark.extensions.alpasim.verification import RecordedCall, compare_messages, read_calls
+from benchmark.extensions.alpasim.verification import RecordedCall, compare_messages, compare_reactions, read_calls
 from benchmark.geometry import Floats
 from benchmark.untrusted.files import GRPC_SESSION
 from benchmark.verification.checks import Comparison
@@ -81,9 +81,9 @@ _REFUSED: Final = {
 }  # fmt: skip
 
 
-def compare_bad_traffic(comparison: Comparison, folder: GoldenFolder) -> None:
+def _compare_bad_traffic(comparison: Comparison, folder: GoldenFolder) -> None:
     """Answers that are not as they should be: our client counts who is there as AlpaSim's runtime does."""
-    for name, told in folder.facts("bad_traffic.json").items():
+    for name, told in folder.facts("bad_traffic.json", gaps=True).items():
         if name not in _TAKEN and name not in _REFUSED:
             continue
         refused, found = "", {}
@@ -128,9 +128,9 @@ SESSIONS: Final = GoldenSet(
     holds="recorded sessions of AlpaSim's traffic",
 )
 REACTIONS: Final = GoldenSet(
-    name="alpasim traffic-reactions",
-    files=("bad_traffic.json",),
-    compare=(compare_bad_traffic,),
+    name="alpasim reactions",
+    files=("bad_driver.json", "bad_traffic.json"),
+    compare=(compare_reactions, _compare_bad_traffic),
     usual="reactions",
-    holds="reactions of AlpaSim's runtime to traffic",
+    holds="reactions of AlpaSim's runtime",
 )

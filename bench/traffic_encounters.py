@@ -1,0 +1,137 @@
+"""Encounters over gRPC beside replayed traffic: ``python -m bench.traffic_encounters [--seeds N] [--limit N]``.
+
+Recordings of the newest frozen split of the embedded town, seeds and two egos, each driven three times: among replayed
+traffic, against the served adversary without a map, and against the adversary in process, which knows motion only too
+but has the map. A careful human drives both encounters as well. `1,000 encounters` are ``--seeds 50``.
+"""
+
+import argparse
+import json
+import sys
+import time
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+import benchmark
+from adapters.registry import build_planner
+from benchmark.closed_loop.adversary import AdversaryTrack
+from benchmark.closed_loop.default_engine import DefaultBackend
+from benchmark.closed_loop.episodes import Episode, EpisodeSpec, run_episode
+from benchmark.closed_loop.observation_builder import NoSensor
+from benchmark.closed_loop.reference_drivers import simulate_reference_drivers
+from benchmark.extensions.alpasim.traffic.client import build_remote_traffic
+from benchmark.extensions.alpasim.traffic.serving import make_traffic_server
+from benchmark.extensions.alpasim.traffic.service import TrafficSettings
+from benchmark.extensions.alpasim.traffic.session_log import EGO
+from benchmark.extensions.alpasim.traffic.session_world import SessionWorld
+from benchmark.geometry import box_corners
+from benchmark.interactions.reaction import Driver
+from benchmark.machine.extension import import_from_extension
+from benchmark.runs.redriving import read_recorded_can
+from benchmark.scene import Scene
+
+EGOS = ("constant-velocity-on-path", "idm")
+
+
+@dataclass(frozen=True)
+class Encounter:
+    """One drive: who was hit by whom, whether the careful human survives, where the adversary was."""
+
+    scene: str
+    seed: int
+    ego: str
+    traffic: str
+    hit: bool
+    by_adversary: bool
+    survives: bool | None
+    off_road: int
+    poses: int
+    seconds: float
+
+
+def count_off_road(scene: Scene, track: AdversaryTrack | None) -> tuple[int, int]:
+    """Poses with a corner off the true road, and all of them."""
+    if track is None or not len(track.poses):
+        return 0, 0
+    size = np.broadcast_to(scene.agents.size[track.agent, :2], (len(track.poses), 2))
+    corners = box_corners(np.column_stack([track.poses[:, :2], size, track.poses[:, 2]]))
+    return int((~scene.road_map.is_drivable(corners)).any(axis=1).sum()), len(track.poses)
+
+
+def drive(data: Any, scene: Scene, seed: int, ego: str, traffic: str, backend: DefaultBackend) -> Encounter:
+    begun = time.perf_counter()
+    spec = EpisodeSpec(scene, read_recorded_can(data, scene.name), seed, backend, NoSensor(), 120.0)
+    episode: Episode = run_episode(spec, build_planner(ego))
+    track = episode.adversary
+    survives = None
+    if ego == EGOS[0]:
+        outcome = simulate_reference_drivers(scene, backend.course(scene, seed), [Driver.CC])
+        survives = outcome[Driver.CC].survives
+    hit = episode.touch is not None
+    by = hit and track is not None and episode.touch is not None and episode.touch.agent == track.agent
+    return Encounter(
+        scene.name, seed, ego, traffic, hit, by, survives, *count_off_road(scene, track), time.perf_counter() - begun
+    )
+
+
+def summarise(encounters: list[Encounter]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for traffic in dict.fromkeys(each.traffic for each in encounters):
+        own = [each for each in encounters if each.traffic == traffic]
+        careful = [each.survives for each in own if each.survives is not None]
+        off, poses = sum(each.off_road for each in own), sum(each.poses for each in own)
+        found[traffic] = {
+            "encounters": len(own),
+            "hits": {ego: f"{sum(e.hit for e in own if e.ego == ego)}/{sum(e.ego == ego for e in own)}" for ego in EGOS},
+            "by the adversary": sum(each.by_adversary for each in own),
+            "careful survives": f"{sum(careful)}/{len(careful)}",
+            "off road %": round(100.0 * off / poses, 2) if poses else None,
+        }
+    return found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--limit", type=int, default=None)
+    parser.add_argument("--budget", type=float, default=1e9, help="seconds after which no scene is begun")
+    given = parser.parse_args()
+    maker = import_from_extension("agents", "adversary")(knows="motion-only")
+    worlds: list[SessionWorld] = []
+
+    def keep(world: SessionWorld, settings: TrafficSettings) -> None:
+        worlds.append(world)
+
+    server = make_traffic_server(maker, "127.0.0.1", 0, agents="adversary", seed=0, ended=keep)
+    data, encounters, begun = benchmark.open_data("mini"), list[Encounter](), time.monotonic()
+    with server:
+        remote = build_remote_traffic(server.url)
+        backends = {
+            "replay": DefaultBackend("replay"),
+            "served": DefaultBackend("adversary", adversary=remote),
+            "in process": DefaultBackend("adversary", adversary=maker),
+        }
+        for seed in range(given.seeds):
+            for name in data.scene_names("val")[: given.limit]:
+                if time.monotonic() - begun > given.budget:
+                    break
+                scene = data.scene(name)
+                for ego in EGOS:
+                    for traffic, backend in backends.items():
+                        if traffic == "in process" and not maker.possible(scene):
+                            continue
+                        encounters.append(drive(data, scene, seed, ego, traffic, backend))
+                        print(json.dumps(asdict(encounters[-1])), flush=True)
+    planned = 1000.0 * np.array([seconds for world in worlds for seconds in world.planned_s])
+    bystanders = [pair for world in worlds for pair in world.touched if EGO not in pair]
+    print(json.dumps(summarise(encounters), indent=1))
+    print(f"sessions {len(worlds)}, contacts of the adversary with bystanders {len(bystanders)}")
+    if len(planned):
+        print(f"plans {len(planned)}, ms at 50, 95, 100 %: {np.percentile(planned, [50, 95, 100]).round().tolist()}")
+    return 1 if bystanders else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
