@@ -2,14 +2,15 @@
 
 Recordings of the newest frozen split of the embedded town, seeds and two egos, each driven three times: among replayed
 traffic, against the served adversary without a map, and against the adversary in process, which knows motion only too
-but has the map. A careful human drives both encounters as well. `1,000 encounters` are ``--seeds 50``.
+but has the map. A careful human drives both encounters as well. ``--seeds 50`` are 1,000 encounters;
+``--no-socket`` hands the same bytes to the service without a network between.
 """
 
 import argparse
 import json
 import sys
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -21,9 +22,10 @@ from benchmark.closed_loop.default_engine import DefaultBackend
 from benchmark.closed_loop.episodes import Episode, EpisodeSpec, run_episode
 from benchmark.closed_loop.observation_builder import NoSensor
 from benchmark.closed_loop.reference_drivers import simulate_reference_drivers
-from benchmark.extensions.alpasim.traffic.client import build_remote_traffic
+from benchmark.extensions.alpasim.messages import METHODS, TRAFFIC, decode_message, encode_message
+from benchmark.extensions.alpasim.traffic.client import RemoteTraffic, build_remote_traffic
+from benchmark.extensions.alpasim.traffic.service import TrafficService, TrafficSettings
 from benchmark.extensions.alpasim.traffic.serving import make_traffic_server
-from benchmark.extensions.alpasim.traffic.service import TrafficSettings
 from benchmark.extensions.alpasim.traffic.session_log import EGO
 from benchmark.extensions.alpasim.traffic.session_world import SessionWorld
 from benchmark.geometry import box_corners
@@ -31,6 +33,7 @@ from benchmark.interactions.reaction import Driver
 from benchmark.machine.extension import import_from_extension
 from benchmark.runs.redriving import read_recorded_can
 from benchmark.scene import Scene
+from benchmark.untrusted.files import GRPC_SESSION
 
 EGOS = ("constant-velocity-on-path", "idm")
 
@@ -76,6 +79,32 @@ def drive(data: Any, scene: Scene, seed: int, ego: str, traffic: str, backend: D
     )
 
 
+@dataclass(frozen=True)
+class Directly:
+    """A service in this process, in the place of `RemoteTrafficMaker` and of a connection."""
+
+    service: TrafficService
+    others: str = "replay"
+    url: str = "here"
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        return {"traffic": "here"}
+
+    def possible(self, scene: Scene) -> bool:
+        return True
+
+    def policy(self, scene: Scene, run: int, start_us: int, others: Any) -> RemoteTraffic:
+        return RemoteTraffic(scene, run, start_us, others(0), lambda: self)  # type: ignore[arg-type, return-value]
+
+    def call(self, method: str, message: Any, deadline_s: float | None = None) -> Any:
+        answer = self.service.call(TRAFFIC + method, encode_message(message), {})
+        return decode_message(METHODS[TRAFFIC + method][1], answer, GRPC_SESSION)
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
 def summarise(encounters: list[Encounter]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for traffic in dict.fromkeys(each.traffic for each in encounters):
@@ -84,7 +113,9 @@ def summarise(encounters: list[Encounter]) -> dict[str, Any]:
         off, poses = sum(each.off_road for each in own), sum(each.poses for each in own)
         found[traffic] = {
             "encounters": len(own),
-            "hits": {ego: f"{sum(e.hit for e in own if e.ego == ego)}/{sum(e.ego == ego for e in own)}" for ego in EGOS},
+            "hits": {
+                ego: f"{sum(e.hit for e in own if e.ego == ego)}/{sum(e.ego == ego for e in own)}" for ego in EGOS
+            },
             "by the adversary": sum(each.by_adversary for each in own),
             "careful survives": f"{sum(careful)}/{len(careful)}",
             "off road %": round(100.0 * off / poses, 2) if poses else None,
@@ -97,17 +128,17 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--limit", type=int, default=None)
     parser.add_argument("--budget", type=float, default=1e9, help="seconds after which no scene is begun")
+    parser.add_argument("--no-socket", action="store_true")
     given = parser.parse_args()
     maker = import_from_extension("agents", "adversary")(knows="motion-only")
     worlds: list[SessionWorld] = []
 
-    def keep(world: SessionWorld, settings: TrafficSettings) -> None:
-        worlds.append(world)
-
-    server = make_traffic_server(maker, "127.0.0.1", 0, agents="adversary", seed=0, ended=keep)
+    server = make_traffic_server(maker, "127.0.0.1", 0, agents="adversary", seed=0)
     data, encounters, begun = benchmark.open_data("mini"), list[Encounter](), time.monotonic()
     with server:
-        remote = build_remote_traffic(server.url)
+        remote: Any = Directly(TrafficService(TrafficSettings("adversary", maker), worlds.append))
+        if not given.no_socket:
+            remote = build_remote_traffic(server.url)
         backends = {
             "replay": DefaultBackend("replay"),
             "served": DefaultBackend("adversary", adversary=remote),
@@ -120,7 +151,7 @@ def main() -> int:
                 scene = data.scene(name)
                 for ego in EGOS:
                     for traffic, backend in backends.items():
-                        if traffic == "in process" and not maker.possible(scene):
+                        if traffic == "in process" and (ego != EGOS[0] or not maker.possible(scene)):
                             continue
                         encounters.append(drive(data, scene, seed, ego, traffic, backend))
                         print(json.dumps(asdict(encounters[-1])), flush=True)

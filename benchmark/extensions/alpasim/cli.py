@@ -1,6 +1,7 @@
 """Options of policies at ``grpc://``, and of ``serve`` in AlpaSim's protocols."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 from benchmark.cli.settings import Option
@@ -41,9 +42,10 @@ class AlpasimTrafficOptions:
         Literal["replay", "idm"], Option("adversary: how everybody else behaves.", "Search")
     ] = "replay"
     adversary_every: Annotated[float, Option("adversary: seconds between its plans, at most 3.", "Search")] = 1.0
-    adversary_rounds: Annotated[
-        int | None, Option("adversary: refinement rounds of its search; 5 if not given.", "Search", min=0)
-    ] = None
-    adversary_candidates: Annotated[
-        int | None, Option("adversary: candidates of each round; 256 if not given.", "Search", min=1)
-    ] = None
+    adversary_budget: Annotated[
+        Literal["quick", "full"],
+        Option("adversary: 3 rounds of 96 candidates, or the 5 of 256 that drive has.", "Search"),
+    ] = "quick"
+    sessions: Annotated[Path | None, Option("Data set to which each session is added when it is over.", "Output")] = (
+        None
+    )

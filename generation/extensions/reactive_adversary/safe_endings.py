@@ -1,6 +1,6 @@
 """Admissible plans of an adversary: no contact but with the ego, and a safe end, with others predicted by policy."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Self
 
@@ -115,24 +115,61 @@ class SurroundingTracks:
         later, and stands; gentle braking comes first. ``poses`` are (F, 3) of the box centre from the planning frame
         on.
         """
+        for first, braking in self._list_endings(poses, executed):
+            yield brake_on_path(poses, first, self.frame_seconds, braking)
+
+    def _list_endings(self, poses: Floats, executed: int) -> list[tuple[int, float]]:
+        """From which frame on each ending brakes, and how hard."""
         count = len(self.frame_seconds)
         end = min(len(poses), count) - 1
         first = min(executed, end)
-        yield brake_on_path(poses, end, self.frame_seconds, 0.0)
-        if first < count - 1:
-            for braking in BRAKING_M_S2:
-                for later in range(first, end + 1, LATER_FRAMES):
-                    yield brake_on_path(poses, later, self.frame_seconds, braking)
+        later = range(first, end + 1, LATER_FRAMES) if first < count - 1 else ()
+        return [(end, 0.0), *((frame, braking) for braking in BRAKING_M_S2 for frame in later)]
 
     def ending(self, poses: Floats, executed: int) -> Floats | None:
         """The first of them that never touches another; ``None`` if there is none."""
         last = min(executed, len(self.frame_seconds) - 1)
         if self.compute_clear_seconds(poses[: last + 1]) < np.inf:
             return None
-        for candidate in self.generate_endings(poses, executed):
-            if self.compute_clear_seconds(candidate, last) == np.inf:
-                return candidate
+        kinds = self._list_endings(poses, executed)
+        # Most go on at their speed; of those that cannot, all brakes are looked at together.
+        for some in (kinds[:1], kinds[1:]):
+            motions = brake_on_paths(poses, some, self.frame_seconds)
+            clear = self.find_clear(motions, last)
+            if clear.any():
+                return np.asarray(motions[int(np.argmax(clear))])
         return None
+
+    def find_clear(self, motions: Floats, first: int) -> Bools:
+        """(E,) whether (E, K + 1, 3) motions to the last frame touch nobody from a frame on."""
+        known = self.frame_seconds
+        count = int(np.searchsorted(self.seconds, known[-1] + 1e-9, side="right"))
+        begin = int(np.searchsorted(self.seconds, known[first] + 1e-9, side="right")) // _CHUNK * _CHUNK
+        clear = np.ones(len(motions), np.bool_)
+        if begin >= count or not len(motions):
+            return clear
+        columns = np.stack([motions[..., 0], motions[..., 1], np.unwrap(motions[..., 2], axis=1)])
+        placed = _interpolate_rows(self.seconds[begin:count], known, columns)
+        begins = np.arange(0, count - begin, _CHUNK)
+        reach = self.reach + 0.5 * float(np.hypot(*self.size)) + 1e-6
+        chunks = slice(begin // _CHUNK, begin // _CHUNK + len(begins))
+        may = np.ones((len(motions), len(begins), len(reach)), np.bool_)
+        for axis in range(2):
+            lowest = np.minimum.reduceat(placed[axis], begins, axis=1)[..., None] - reach
+            highest = np.maximum.reduceat(placed[axis], begins, axis=1)[..., None] + reach
+            may &= (self.low[chunks, :, axis] <= highest) & (self.high[chunks, :, axis] >= lowest)
+        motion, chunk, other = np.nonzero(may)
+        row = (chunk[:, None] * _CHUNK + np.arange(_CHUNK)).ravel()
+        motion, other = np.repeat(motion, _CHUNK), np.repeat(other, _CHUNK)
+        inside = row < count - begin
+        motion, row, other = motion[inside], row[inside], other[inside]
+        away = self.boxes[row + begin, other, :2] - placed[:2, motion, row].T
+        near = self.present[row + begin, other] & ((away**2).sum(axis=1) <= reach[other] ** 2)
+        motion, row, other = motion[near], row[near], other[near]
+        own = np.empty((len(row), 5))
+        own[:, [0, 1, 4]], own[:, 2:4] = placed[:, motion, row].T, self.size
+        clear[motion[boxes_overlap(own, self.boxes[row + begin, other])]] = False
+        return clear
 
     def find_longest(self, motions: Iterable[Floats]) -> Floats:
         """The first of some motions that last longest before they touch another."""
@@ -163,6 +200,45 @@ def brake_on_path(poses: Floats, first: int, seconds: Floats, braking_m_s2: floa
     place = np.column_stack([np.interp(goal, station, path[:, axis]) for axis in range(2)]) + beyond[:, None] * ahead
     turned = wrap_angle(np.interp(goal, station, yaw))
     return np.concatenate([path[:first], np.column_stack([place, turned])])
+
+
+def brake_on_paths(poses: Floats, kinds: Sequence[tuple[int, float]], seconds: Floats) -> Floats:
+    """(E, K, 3) `brake_on_path` of one motion in E ways, frame and m/s^2, the same to the last bit."""
+    count = len(seconds)
+    path = poses[: min(len(poses), count)]
+    steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
+    station = np.concatenate([[0.0], np.cumsum(steps)])
+    goals = []
+    for first, braking in kinds:
+        before = max(first - 1, 0)
+        after = min(before + 1, len(path) - 1)
+        span = float(seconds[after] - seconds[before]) if after > before else 1.0
+        speed = float(station[after] - station[before]) / span
+        time = seconds[first:] - seconds[first]
+        if braking > 0.0:
+            time = np.minimum(time, speed / braking)
+        goals.append(station[min(first, len(path) - 1)] + speed * time - 0.5 * braking * time**2)
+    goal = np.concatenate([np.zeros(0), *goals])
+    beyond = np.maximum(goal - station[-1], 0.0)
+    ahead = np.array([np.cos(path[-1, 2]), np.sin(path[-1, 2])])
+    place = np.column_stack([np.interp(goal, station, path[:, axis]) for axis in range(2)]) + beyond[:, None] * ahead
+    later = np.column_stack([place, wrap_angle(np.interp(goal, station, np.unwrap(path[:, 2])))])
+    motions = np.empty((len(kinds), count, 3))
+    at = 0
+    for row, (first, _) in enumerate(kinds):
+        motions[row, :first], motions[row, first:] = path[:first], later[at : at + count - first]
+        at += count - first
+    return motions
+
+
+def _interpolate_rows(wanted: Floats, known: Floats, rows: Floats) -> Floats:
+    """(..., I) `numpy.interp` of (..., K) rows that share their (K,) known places, the same to the last bit."""
+    at = np.clip(np.searchsorted(known, wanted, side="right") - 1, 0, len(known) - 1)
+    after = np.minimum(at + 1, len(known) - 1)
+    here = rows[..., at]
+    width = np.where(after > at, known[after] - known[at], 1.0)
+    between = (rows[..., after] - here) / width * (wanted - known[at]) + here
+    return np.asarray(np.where((known[at] == wanted) | (after == at), here, between))
 
 
 def order_candidates(scores: Floats, most: int) -> Iterator[tuple[int, int]]:

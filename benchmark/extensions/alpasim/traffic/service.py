@@ -7,7 +7,7 @@ import sys
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
@@ -28,14 +28,6 @@ from benchmark.untrusted.files import GRPC_SESSION, to_one_line
 LONGEST_STEP_S: Final = 10.0
 """Between two queries: all of it is driven at once."""
 _HISTORY_US: Final = 500_000
-_NOBODY: Final = "nobody"
-
-
-class SessionEnd(Protocol):
-    """What is made of a session that has ended."""
-
-    def __call__(self, world: SessionWorld, settings: "TrafficSettings") -> None:
-        """Take what is left of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +88,7 @@ class TrafficService:
 
     prefix: Final = TRAFFIC
 
-    def __init__(self, settings: TrafficSettings, ended: SessionEnd | None = None) -> None:
+    def __init__(self, settings: TrafficSettings, ended: Callable[[SessionWorld], None] | None = None) -> None:
         """``ended`` is given the world of each session that a client closes or forgets."""
         self._settings, self._ended = settings, ended
         self._sessions: SessionTable[_Session] = SessionTable(self._end)
@@ -149,7 +141,7 @@ class TrafficService:
         with session.lock:
             session.world.note_contacts()
         if self._ended is not None:
-            self._ended(session.world, self._settings)
+            self._ended(session.world)
 
     def _simulate(self, request: Any) -> Any:
         session, query_us = self._sessions.find(request.session_uuid), min(request.time_query_us, 1 << 62)

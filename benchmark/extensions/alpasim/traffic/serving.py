@@ -1,13 +1,16 @@
 """A server of traffic that listens, and what is said at the end of each of its sessions."""
 
 import sys
+from collections.abc import Callable
 
 import numpy as np
 
 from benchmark.closed_loop.adversary import AdversaryFactory
 from benchmark.extensions.alpasim.server import GrpcServer
-from benchmark.extensions.alpasim.traffic.service import SessionEnd, TrafficService, TrafficSettings
-from benchmark.extensions.alpasim.traffic.session_log import EGO
+from benchmark.extensions.alpasim.traffic.recording import SessionRecorder, SessionWriter
+from benchmark.extensions.alpasim.traffic.service import TrafficService, TrafficSettings
+from benchmark.extensions.alpasim.traffic.session_log import EGO, SessionLog
+from benchmark.extensions.alpasim.traffic.session_scene import MapFrame, estimate_frame
 from benchmark.extensions.alpasim.traffic.session_world import SessionWorld
 from benchmark.report.words import pluralise
 from benchmark.untrusted.files import GRPC_SESSION, to_one_line
@@ -21,17 +24,29 @@ def make_traffic_server(
     agents: str,
     seed: int,
     adversary: str = "",
-    ended: SessionEnd | None = None,
+    write: SessionWriter | None = None,
+    find: Callable[[SessionLog], MapFrame] = estimate_frame,
 ) -> GrpcServer:
-    """A server that listens; arguments are those of `TrafficSettings`, ``ended`` prints a line by default."""
-    settings = TrafficSettings(agents, maker, adversary, seed=seed)
-    service = TrafficService(settings, ended or report_session)
-    return GrpcServer(service, host, port, GRPC_SESSION, service.close)
+    """A server that listens; arguments are those of `TrafficSettings`, ``write`` keeps sessions that are over."""
+    recorder = None if write is None else SessionRecorder(write, _notify)
+
+    def end(world: SessionWorld) -> None:
+        _notify(describe_session(world))
+        if recorder is not None:
+            recorder.record(world)
+
+    service = TrafficService(TrafficSettings(agents, maker, adversary, find, seed), end)
+
+    def close() -> None:
+        service.close()
+        if recorder is not None:
+            recorder.close()
+
+    return GrpcServer(service, host, port, GRPC_SESSION, close)
 
 
-def report_session(world: SessionWorld, settings: TrafficSettings) -> None:
-    """Print what came of a session."""
-    print(describe_session(world), file=sys.stderr, flush=True)
+def _notify(sentence: str) -> None:
+    print(to_one_line(sentence, 400), file=sys.stderr, flush=True)
 
 
 def describe_session(world: SessionWorld) -> str:

@@ -64,6 +64,11 @@ class SessionWorld:
         """Time of the newest pose of the ego."""
         return self.ego_us[-1]
 
+    @property
+    def reached_us(self) -> int:
+        """Time up to which everybody can be placed."""
+        return min(self.told_us, max(self._clock_us, self.log.handover_us))
+
     def tell(self, poses: Poses) -> None:
         """New poses of the ego's box centre, later than all before."""
         planar = np.column_stack([poses.position[:, :2], yaw_of_quaternion(poses.rotation)])
@@ -133,13 +138,14 @@ class SessionWorld:
 
     def _see_ego(self, time_us: int) -> tuple[Floats, float]:
         """(5,) box of the ego at a time up to the newest pose, and its speed over the last 0.1 s, m/s."""
-        now, before = self._ego_at(time_us), self._ego_at(max(time_us - _STILL_US, self.ego_us[0]))
+        now, before = self.ego_at(time_us), self.ego_at(max(time_us - _STILL_US, self.ego_us[0]))
         span = min(_STILL_US, time_us - self.ego_us[0]) / SECOND_US
         ahead = (now[:2] - before[:2]) @ [np.cos(now[2]), np.sin(now[2])]
         box = np.array([now[0], now[1], self.log.ego.size[0], self.log.ego.size[1], now[2]])
         return box, max(float(ahead) / span, 0.0) if span > 0.0 else 0.0
 
-    def _ego_at(self, time_us: int) -> Floats:
+    def ego_at(self, time_us: int) -> Floats:
+        """(3,) pose of the ego's box at a time up to the newest, in the frame of the map."""
         place = min(max(int(np.searchsorted(self.ego_us, time_us)), 1), len(self.ego_us) - 1)
         if len(self.ego_us) == 1 or self.ego_us[place] == time_us:
             return self.ego_poses[place if len(self.ego_us) > 1 else 0]

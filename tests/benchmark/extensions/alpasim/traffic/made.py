@@ -39,7 +39,7 @@ class Client:
 
     def __init__(self, settings: TrafficSettings | None = None) -> None:
         self.ended: list[SessionWorld] = []
-        self.service = TrafficService(settings or TrafficSettings(), lambda world, _: self.ended.append(world))
+        self.service = TrafficService(settings or TrafficSettings(), self.ended.append)
 
     def call(self, method: str, message: Any) -> Any:
         answer = self.service.call(TRAFFIC + method, encode_message(message), {})
@@ -66,9 +66,7 @@ class Client:
 def simulate_request(time_us: int, place: Floats, name: str = "a") -> Any:
     poses = Poses(np.array([time_us]), place[None], np.array([[1.0, 0.0, 0.0, 0.0]]))
     update = {"object_id": EGO, "trajectory": encode_trajectory(poses)}
-    return build_message(
-        "TrafficRequest", session_uuid=name, time_query_us=time_us, object_trajectory_updates=[update]
-    )
+    return build_message("TrafficRequest", session_uuid=name, time_query_us=time_us, object_trajectory_updates=[update])
 
 
 def to_place(update: Any) -> Floats:

@@ -9,8 +9,8 @@ import pytest
 
 from benchmark.extensions.alpasim.messages import build_message
 from benchmark.extensions.alpasim.traffic import session_log
-from benchmark.extensions.alpasim.traffic.serving import describe_session
 from benchmark.extensions.alpasim.traffic.service import TrafficSettings
+from benchmark.extensions.alpasim.traffic.serving import describe_session
 from benchmark.extensions.alpasim.traffic.session_log import EGO, find_category, read_session
 from benchmark.extensions.alpasim.traffic.verification import REACTIONS, SESSIONS
 from tests.benchmark.extensions.alpasim.traffic.made import (
@@ -104,10 +104,9 @@ DAMAGED: dict[str, Callable[[Any], None]] = {
     "too many": lambda request: setattr(
         request.logged_object_trajectories[1].trajectory.poses[-1], "timestamp_us", 10**15
     ),
-    "more than 1000": lambda request: [
-        request.logged_object_trajectories.add(object_id=str(number)) for number in range(10_000)
-    ]
-    and None,
+    "more than 1000": lambda request: (
+        [request.logged_object_trajectories.add(object_id=str(number)) for number in range(10_000)] and None
+    ),
 }
 
 
