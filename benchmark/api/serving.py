@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from benchmark.api.opening import open_data
 from benchmark.api.planners import find_runnable_model
 from benchmark.errors import InputError
 from benchmark.machine.storage import make_token
@@ -133,11 +134,14 @@ def serve_traffic(
 
     found, own = find_serving_protocol(protocol), dict(options or {})
     agents, maker, sessions = own.pop("traffic", ADVERSARY), None, own.pop("sessions", None)
+    maps = own.pop("maps", "")
     rounds, candidates = TRAFFIC_BUDGETS[own.pop("adversary_budget", "quick")]
     every_s, others = own.pop("adversary_every", 1.0), own.pop("adversary_others", "replay")
     if agents == ADVERSARY:
         build = import_from_extension("agents", ADVERSARY)
         maker = build(knows="motion-only", every_s=every_s, others=others, rounds=rounds, candidates=candidates)
+    if maps:
+        own["maps"] = open_data(maps)
     if sessions is not None:
         own["write"] = SessionStore(sessions).write
     server: PlannerService = found.make(maker, *found.find_address(host, port), agents=agents, seed=seed, **own)

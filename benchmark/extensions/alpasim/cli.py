@@ -46,6 +46,9 @@ class AlpasimTrafficOptions:
         Literal["quick", "full"],
         Option("adversary: 3 rounds of 96 candidates, or the 5 of 256 that drive has.", "Search"),
     ] = "quick"
+    maps: Annotated[
+        str, Option("Data set whose scenes sessions name; roads are estimated from tracks if not given.", "Input")
+    ] = ""
     sessions: Annotated[Path | None, Option("Data set to which each session is added when it is over.", "Output")] = (
         None
     )

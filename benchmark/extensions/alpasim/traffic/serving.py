@@ -6,11 +6,13 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmark.closed_loop.adversary import AdversaryFactory
+from benchmark.datasets.roots import DataSet
 from benchmark.extensions.alpasim.server import GrpcServer
+from benchmark.extensions.alpasim.traffic.given_maps import find_map_in
 from benchmark.extensions.alpasim.traffic.recording import SessionRecorder, SessionWriter
 from benchmark.extensions.alpasim.traffic.service import TrafficService, TrafficSettings
-from benchmark.extensions.alpasim.traffic.session_log import EGO, SessionLog
-from benchmark.extensions.alpasim.traffic.session_scene import MapFrame, estimate_frame
+from benchmark.extensions.alpasim.traffic.session_log import EGO
+from benchmark.extensions.alpasim.traffic.session_scene import estimate_frame
 from benchmark.extensions.alpasim.traffic.session_world import SessionWorld
 from benchmark.report.words import pluralise
 from benchmark.untrusted.files import GRPC_SESSION, to_one_line
@@ -25,9 +27,13 @@ def make_traffic_server(
     seed: int,
     adversary: str = "",
     write: SessionWriter | None = None,
-    find: Callable[[SessionLog], MapFrame] = estimate_frame,
+    maps: DataSet | None = None,
 ) -> GrpcServer:
-    """A server that listens; arguments are those of `TrafficSettings`, ``write`` keeps sessions that are over."""
+    """A server that listens; arguments are those of `TrafficSettings`, ``write`` keeps sessions that are over.
+
+    Without ``maps``, a data set with the scenes of sessions, roads are estimated.
+    """
+    find = estimate_frame if maps is None else find_map_in(maps)
     recorder = None if write is None else SessionRecorder(write, _notify)
 
     def end(world: SessionWorld) -> None:
