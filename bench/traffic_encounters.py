@@ -17,6 +17,7 @@ import numpy as np
 
 import benchmark
 from adapters.registry import build_planner
+from benchmark.api.serving import TRAFFIC_BUDGETS
 from benchmark.closed_loop.adversary import AdversaryTrack
 from benchmark.closed_loop.default_engine import DefaultBackend
 from benchmark.closed_loop.episodes import Episode, EpisodeSpec, run_episode
@@ -49,6 +50,7 @@ class Encounter:
     hit: bool
     by_adversary: bool
     survives: bool | None
+    careful_hit_by: str
     off_road: int
     poses: int
     seconds: float
@@ -68,14 +70,24 @@ def drive(data: Any, scene: Scene, seed: int, ego: str, traffic: str, backend: D
     spec = EpisodeSpec(scene, read_recorded_can(data, scene.name), seed, backend, NoSensor(), 120.0)
     episode: Episode = run_episode(spec, build_planner(ego))
     track = episode.adversary
-    survives = None
+    survives, hit_by = None, ""
     if ego == EGOS[0]:
-        outcome = simulate_reference_drivers(scene, backend.course(scene, seed), [Driver.CC])
-        survives = outcome[Driver.CC].survives
+        outcome = simulate_reference_drivers(scene, backend.course(scene, seed), [Driver.CC])[Driver.CC]
+        survives, own = outcome.survives, None if track is None else scene.agents.ids[track.agent]
+        hit_by = "" if survives else "adversary" if outcome.agent == own and traffic != "replay" else "another"
     hit = episode.touch is not None
     by = hit and track is not None and episode.touch is not None and episode.touch.agent == track.agent
     return Encounter(
-        scene.name, seed, ego, traffic, hit, by, survives, *count_off_road(scene, track), time.perf_counter() - begun
+        scene.name,
+        seed,
+        ego,
+        traffic,
+        hit,
+        by,
+        survives,
+        hit_by,
+        *count_off_road(scene, track),
+        time.perf_counter() - begun,
     )
 
 
@@ -89,15 +101,19 @@ class Directly:
 
     @property
     def facts(self) -> dict[str, Any]:
+        """Who drives everybody."""
         return {"traffic": "here"}
 
     def possible(self, scene: Scene) -> bool:
+        """Every scene is."""
         return True
 
     def policy(self, scene: Scene, run: int, start_us: int, others: Any) -> RemoteTraffic:
+        """The policy of a scene, as if it were asked over gRPC."""
         return RemoteTraffic(scene, run, start_us, others(0), lambda: self)  # type: ignore[arg-type, return-value]
 
     def call(self, method: str, message: Any, deadline_s: float | None = None) -> Any:
+        """The answer to a call, by its bytes."""
         answer = self.service.call(TRAFFIC + method, encode_message(message), {})
         return decode_message(METHODS[TRAFFIC + method][1], answer, GRPC_SESSION)
 
@@ -113,11 +129,10 @@ def summarise(encounters: list[Encounter]) -> dict[str, Any]:
         off, poses = sum(each.off_road for each in own), sum(each.poses for each in own)
         found[traffic] = {
             "encounters": len(own),
-            "hits": {
-                ego: f"{sum(e.hit for e in own if e.ego == ego)}/{sum(e.ego == ego for e in own)}" for ego in EGOS
-            },
+            "hits": {ego: sum(each.hit for each in own if each.ego == ego) for ego in EGOS},
             "by the adversary": sum(each.by_adversary for each in own),
             "careful survives": f"{sum(careful)}/{len(careful)}",
+            "careful hit by the adversary": sum(each.careful_hit_by == "adversary" for each in own),
             "off road %": round(100.0 * off / poses, 2) if poses else None,
         }
     return found
@@ -128,9 +143,11 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--limit", type=int, default=None)
     parser.add_argument("--budget", type=float, default=1e9, help="seconds after which no scene is begun")
+    parser.add_argument("--search", choices=[*TRAFFIC_BUDGETS], default="quick")
     parser.add_argument("--no-socket", action="store_true")
     given = parser.parse_args()
-    maker = import_from_extension("agents", "adversary")(knows="motion-only")
+    rounds, candidates = TRAFFIC_BUDGETS[given.search]
+    maker = import_from_extension("agents", "adversary")(knows="motion-only", rounds=rounds, candidates=candidates)
     worlds: list[SessionWorld] = []
 
     server = make_traffic_server(maker, "127.0.0.1", 0, agents="adversary", seed=0)
