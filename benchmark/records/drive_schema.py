@@ -274,11 +274,12 @@ class TickRows(Stored):
 
 
 class TrafficTrack(Stored):
-    """An agent in another simulator's traffic: x, y and yaw after each 0.1 s, null where it is gone.
+    """An agent in another simulator's traffic.
 
     Attributes:
         agent: Its index in the scene.
         first: Number of steps of the drive before it left its recording.
+        poses: x, y and yaw of its box centre after each 0.1 s from then on, null where it is gone.
     """
 
     agent: Annotated[int, Field(ge=0)]
