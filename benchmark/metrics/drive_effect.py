@@ -17,6 +17,7 @@ from benchmark.metrics.rates import PairedDifference, compute_paired_difference,
 from benchmark.records.drive_schema import EpisodeRow
 from benchmark.records.drives import DriveRecord, compute_column_values
 from benchmark.records.planner_versions import PLANS_SHA256, describe_version
+from benchmark.records.run_schema import find_source
 
 KM_PER_INCIDENT: Final = "km_per_incident"
 MEASURES: Final = ("with_adversary", "at_fault", "route", "comfortable", KM_PER_INCIDENT, "nuplan_score")
@@ -84,7 +85,7 @@ def compute_drive_effect(record: DriveRecord, unchanged: DriveRecord) -> DriveEf
     """Every measure of both, drive by drive; failed drives are in no pair."""
     facts = record.facts.scene_facts
     pairs = [
-        _Pair(facts[row.scene].source if row.scene in facts else row.scene, *map(_read_values, (row, partner)))
+        _Pair(find_source(row.scene, facts), *map(_read_values, (row, partner)))
         for row, partner in _find_partners(record, unchanged)
         if row.status == partner.status == "ok"
     ]

@@ -22,6 +22,7 @@ from benchmark.records.fault import FaultVerdict
 from benchmark.records.planner_versions import describe_version
 from benchmark.records.rows import find_scene_failures
 from benchmark.records.run import RunRecord
+from benchmark.records.run_schema import find_source
 
 OPEN_LOOP: Final = "exact"
 """Protocol of the open-loop evaluation."""
@@ -178,7 +179,7 @@ def _compare_scene(
     at_fault_count = sum(row.fault is FaultVerdict.EGO for row in hits)
     return SceneLoopComparison(
         scene=scene,
-        source=facts[scene].source if scene in facts else scene,
+        source=find_source(scene, facts),
         open_fails=open_fails,
         contact=len(hits) / len(driven),
         at_fault=at_fault_count / len(driven) if all(row.says_fault for row in hits) else None,

@@ -14,6 +14,7 @@ from benchmark.geometry import Bools, Floats
 from benchmark.metrics.rates import HORIZONS, SceneSums, append_average, sum_by_scene
 from benchmark.protocols import LEAVING_OUT, MAXIMA, PROTOCOLS, compute_published_values
 from benchmark.records.run import RunRecord, collect_outcomes, resolve_protocol
+from benchmark.records.run_schema import find_source
 
 _SOURCES: Final = "sources of scenes"
 _MAX_CACHED: Final = 16
@@ -112,8 +113,7 @@ def map_scenes_to_sources(record: RunRecord) -> Mapping[str, str]:
     """The recording that each scene was made from, itself where the record does not say; shared, not to be changed."""
     cache, run = record.columns.kept, record.run
     if (known := cache.get(_SOURCES)) is None or known[0] is not run:
-        facts = run.scene_facts
-        source_of = {name: facts[name].source if name in facts else name for name in run.scenes}
+        source_of = {name: find_source(name, run.scene_facts) for name in run.scenes}
         known = cache[_SOURCES] = run, MappingProxyType(source_of)
     sources: Mapping[str, str] = known[1]
     return sources

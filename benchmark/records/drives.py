@@ -27,7 +27,7 @@ from benchmark.records.drive_schema import (
 from benchmark.records.fault import FaultVerdict, blames_ego
 from benchmark.records.neuroncap_aggregate import Metrics, NeuroncapSwitches, aggregate_runs
 from benchmark.records.planner_cost import PlannerCost
-from benchmark.records.run_schema import SceneFacts
+from benchmark.records.run_schema import SceneFacts, find_source
 from benchmark.records.store import (
     DRIVE_FILE,
     RecordFileNames,
@@ -228,7 +228,7 @@ def summarise_episodes(
         table = np.array([[row_values.get(name) for name in names] for row_values in values], np.float64)
         known = ~np.isnan(table)
         weights: Floats = np.where(known, _compute_family_weights(driven)[:, None], 0.0)
-        scenes = [scene_facts[row.scene].source if row.scene in scene_facts else row.scene for row in driven]
+        scenes = [find_source(row.scene, scene_facts) for row in driven]
         ratios = compute_ratios_over_scenes(np.where(known, table, 0.0) * weights, weights, scenes, seed=seed)
         columns = dict(zip(names, ratios, strict=True))
     reasons = Counter(row.failure.reason for row in rows if row.failure is not None)

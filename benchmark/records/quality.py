@@ -17,7 +17,7 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, file_sha256, read_json, read_json_lines, write_json, write_json_lines
 from benchmark.metrics.rates import Rate, compute_ratios_over_scenes
 from benchmark.records.caveats import Caveat
-from benchmark.records.run_schema import DataFacts, ReviewFacts, SceneFacts
+from benchmark.records.run_schema import DataFacts, ReviewFacts, SceneFacts, find_source
 from benchmark.records.store import read_records, validate_stored
 from benchmark.records.stored import Stored
 from benchmark.report.words import pluralise
@@ -260,7 +260,7 @@ def summarise_quality(scenes: Sequence[SceneQualityRows], facts: Mapping[str, Sc
     draw recorded scenes with everything made from them.
     """
     ordered = sorted(scenes, key=lambda rows: rows.scene)
-    source = {rows.scene: facts[rows.scene].source if rows.scene in facts else rows.scene for rows in ordered}
+    source = {rows.scene: find_source(rows.scene, facts) for rows in ordered}
     subjects = [row for rows in ordered for row in rows.subjects]
     videos = [row for rows in ordered for row in rows.videos]
     groups = {"all": subjects}

@@ -32,7 +32,7 @@ from benchmark.records.rows import (
     get_columns,
     read_cached_rows,
 )
-from benchmark.records.run_schema import SCHEMA, ProtocolSummary, RunFacts, RunSummary, SceneFacts
+from benchmark.records.run_schema import SCHEMA, ProtocolSummary, RunFacts, RunSummary, SceneFacts, find_source
 from benchmark.records.store import (
     ROWS_FILE,
     RUN_FILE,
@@ -201,7 +201,7 @@ def summarise_rows(
     """
     columns = get_columns(rows)
     planned, known = columns.planned_scenes, scene_facts or {}
-    scenes = [known[scene].source if scene in known else scene for scene in planned]
+    scenes = [find_source(scene, known) for scene in planned]
     driven = [scene for scene, scored in zip(scenes, columns.flags("driven")[columns.planned].tolist()) if scored]
     adversaries_known = all(scene in known and known[scene].adversaries is not None for scene in set(planned))
     protocols = {}

@@ -1,6 +1,7 @@
 """The schema of ``run.json`` and ``summary.json``, checked at the edge; rows are `benchmark.records.row_schema`."""
 
 from collections import Counter
+from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
@@ -157,6 +158,11 @@ class SceneFacts(Stored):
     light: list[LightName] | None = None
     judgement: AssessmentSummary | None = None
     truth: TruthFacts | None = None
+
+
+def find_source(scene: str, known: Mapping[str, SceneFacts]) -> str:
+    """Name of the recording that a scene was made from; its own where nothing is known of it."""
+    return known[scene].source if scene in known else scene
 
 
 class DataFacts(Stored):

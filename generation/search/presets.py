@@ -1,7 +1,7 @@
 """The settings that a search starts from: this project's, the paper's text, or the public reference code.
 
 ``near`` is this project's before it threatened, with the paper's nearness alone: the search of the frozen splits
-mini-adv-1 and mini-adv-2. mini-adv-3 is of ``default``.
+mini-adv-1 and mini-adv-2. mini-adv-3 and mini-adv-4 are of ``default``.
 """
 
 from collections.abc import Mapping, Sequence

@@ -110,7 +110,11 @@ TOWNS: Final[Mapping[int, EmbeddedTown]] = {
             "97c86f1388dea5a7ba19ed66512835cfdde040174ede8336d4e01b184df49c7b",  # as written now
         ),
     ),
-    2: _make_town(2, dict.fromkeys(("keyframes", "all"), "half a minute; images are drawn when they are looked at")),
+    2: _make_town(
+        2,
+        dict.fromkeys(("keyframes", "all"), "half a minute; images are drawn when they are looked at"),
+        ("dfe35d5219082661b5c286c8627a7e326ec0a08620bf917db71f29924b295fea",),  # mini-adv-4
+    ),
 }
 """By version: the first is packaged as tracks and maps, the second is what the town's code makes. `EMBEDDED_VERSION` is
 ``mini``."""

@@ -12,6 +12,7 @@ from benchmark.metrics.loops import is_stale
 from benchmark.metrics.rates import Rate
 from benchmark.records.drives import DriveRecord, compute_columns
 from benchmark.records.planner_versions import compute_version_labels
+from benchmark.records.run_schema import find_source
 from benchmark.report.cells import PERCENT, CellSource, TableCell, ValueSource, format_record_name
 from leaderboard.frame.rows import (
     FEW_NOTE,
@@ -83,9 +84,7 @@ class ComparableDrives:
     def notes(self) -> list[str]:
         """Notes on the records: sensor, few scenes, marks, old scores."""
         first = self.records[0].facts
-        # A scene of unknown origin counts as its own recording.
-        known = first.scene_facts
-        few = len({known[name].source if name in known else name for name in first.scenes}) < FEW_SCENES
+        few = len({find_source(name, first.scene_facts) for name in first.scenes}) < FEW_SCENES
         stale = [
             f"{STALE_MARK} {row.name}: scored by version {row.record.facts.scoring} of the closed-loop scores, not the "
             "present one; challenger-bench rescore with the data set scores them anew."

@@ -26,6 +26,7 @@ from benchmark.records.drives import (
     DriveRecord,
 )
 from benchmark.records.run import RunRecord
+from benchmark.records.run_schema import find_source
 from benchmark.report.cells import PERCENT, CellSource, TableCell, ValueSource, join_record_names
 from benchmark.report.fault_words import FAULT_CELLS
 from benchmark.report.table import Table
@@ -315,7 +316,7 @@ def _rank(group: ComparableDrives) -> tuple[list[TableCell], list[str]]:
     contestants = []
     for row in group.rows:
         facts, totals = row.record.facts, average_drives_by_scene(row.record)
-        sources = {name: facts.scene_facts[name].source if name in facts.scene_facts else name for name in totals}
+        sources = {name: find_source(name, facts.scene_facts) for name in totals}
         contestants.append(Contestant(row.name, facts.planner, totals, sources, row.origin))
     cells, told = rank_cells(contestants, lower_is_better=False, unit="")
     return cells, [RANK_NOTE.format("nuPlan terms, highest first", "drive"), *told]

@@ -14,6 +14,7 @@ import numpy as np
 from benchmark.metrics.rates import compute_ratios_over_scenes
 from benchmark.records.drives import AT_FAULT, ATTRIBUTABLE, BYSTANDER, DriveRecord
 from benchmark.records.fault import blames_ego
+from benchmark.records.run_schema import find_source
 from benchmark.report.cells import CellSource, ValueSource
 from benchmark.report.table import Table
 from leaderboard.frame.drives import DriveTableRow, group_comparable_drives
@@ -171,8 +172,7 @@ def _transfer_cell(source: DriveRecord, victim: DriveRecord, name: str) -> CellS
     counted = sorted(failed & drove)
     if not counted:
         return None
-    known = source.facts.scene_facts
-    scenes = [known[scene].source if scene in known else scene for scene, _ in counted]
+    scenes = [find_source(scene, source.facts.scene_facts) for scene, _ in counted]
     hits = np.array([[float(encounter in also)] for encounter in counted])
     (rate,) = compute_ratios_over_scenes(hits, np.ones_like(hits), scenes, seed=source.facts.seed)
     return DriveTableRow(victim, name).origin.percent(rate, "drives")

@@ -8,6 +8,7 @@ import numpy as np
 
 from benchmark.metrics.rates import Rate, compute_ratios_over_scenes
 from benchmark.records.drives import DriveRecord
+from benchmark.records.run_schema import find_source
 from benchmark.report.cells import PERCENT
 from benchmark.report.table import Table
 from benchmark.report.words import pluralise
@@ -76,8 +77,7 @@ def compute_alpasim_results(record: DriveRecord, rules: str) -> AlpasimResults |
     scored = [(row.scene, row.scores.further[rules]) for row in rows if row.scores and rules in row.scores.further]
     if not scored:
         return None
-    scene_facts = record.facts.scene_facts
-    sources = [scene_facts[scene].source if scene in scene_facts else scene for scene, _ in scored]
+    sources = [find_source(scene, record.facts.scene_facts) for scene, _ in scored]
     ratios = [_list_ratios(parts) for _, parts in scored]
     sums = np.array([list(of_drive.values()) for of_drive in ratios])
     found = compute_ratios_over_scenes(sums[..., 0], sums[..., 1], sources, seed=record.facts.seed)

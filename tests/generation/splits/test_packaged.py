@@ -14,6 +14,7 @@ from benchmark.errors import InputError
 from benchmark.geometry import boxes_overlap
 from generation.labels.labelling import read_agent_boxes
 from generation.search.verify import find_contacts
+from generation.sources.embedded import format_town
 from generation.sources.mini import TownSettings, build_town_data_set
 from generation.splits import packaged
 from generation.splits.building import build_frozen
@@ -35,9 +36,9 @@ def towns(tmp_path_factory: pytest.TempPathFactory) -> Callable[[NamedSplit], Da
     def find(named: NamedSplit) -> DataSet:
         if named.name in FIRST_SPLITS:
             return first
-        settings = TownSettings(val_scenes=list_numbers(named)[0] + 1, images=False)
+        settings = TownSettings(val_scenes=list_numbers(named)[0] + 1, images=False, version=2)
         root = tmp_path_factory.mktemp("town")
-        return open_data(build_town_data_set(root, settings, workers=1), name="mini")
+        return open_data(build_town_data_set(root, settings, workers=1), name=format_town(2))
 
     return find
 
