@@ -1,7 +1,6 @@
 """A server of traffic that listens, and what is said at the end of each of its sessions."""
 
 import sys
-from collections.abc import Callable
 
 import numpy as np
 
