@@ -18,13 +18,13 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.extension import require_package
 from leaderboard.extensions.ability.likelihood import (
+    NUMPY,
     Mathematics,
     ScoreItem,
     clip_scores,
     compute_binary_log_likelihood,
     compute_ordered_log_likelihood,
     compute_score_log_likelihood,
-    make_mathematics,
 )
 from leaderboard.extensions.ability.matrix import OutcomeMatrix
 from leaderboard.extensions.ability.posterior import Posterior
@@ -176,8 +176,63 @@ def _compute_cells(outcome: str, x: Floats, ability: Any, built: Parameters, use
     return compute_ordered_log_likelihood(x, alpha * ability, use.np.broadcast_to(cuts, shape), use)
 
 
+@dataclass(frozen=True, slots=True)
+class CompiledChains:
+    """What samples one shape of matrix: compiled when it is first called, for any outcomes of that shape.
+
+    Chains run one after the other: side by side, each would take the steps of the longest.
+
+    Attributes:
+        begin: From (C, V) variables, C keys and (S, N) outcomes the state of C chains.
+        advance: From a state and the outcomes the next one, (C, block, V) variables, and (C, block) whether each draw
+            diverged.
+    """
+
+    begin: Callable[[Any, Any, Floats], Any]
+    advance: Callable[[Any, Floats], tuple[Any, Any, Any]]
+
+    @classmethod
+    def of(cls, model: JointModel) -> "CompiledChains":
+        """Chains of a model."""
+        import jax
+        from numpyro.infer.hmc import hmc
+
+        use = Mathematics(jax.numpy)
+        start, sample = hmc(potential_fn_gen=lambda x: model.make_potential(use, x), algo="NUTS")
+
+        def begin(variables: Any, keys: Any, x: Any) -> Any:
+            def one(given: tuple[Any, Any]) -> Any:
+                variables, key = given
+                return start(variables, num_warmup=WARM_UP, max_tree_depth=_DEPTHS, model_args=(x,), rng_key=key)
+
+            return jax.lax.map(one, (variables, keys))
+
+        def advance(states: Any, x: Any) -> tuple[Any, Any, Any]:
+            def step(state: Any, _: None) -> tuple[Any, tuple[Any, Any]]:
+                state = sample(state, (x,), {})
+                return state, (state.z, state.diverging)
+
+            states, kept = jax.lax.map(lambda state: jax.lax.scan(step, state, None, length=BLOCK), states)
+            return states, *kept
+
+        return cls(jax.jit(begin), jax.jit(advance))
+
+    def start(self, model: JointModel, seed: int) -> Any:
+        """The state of four chains near 0."""
+        import jax
+
+        size = sum(int(np.prod(shape)) for shape in model.shapes.values())
+        first = np.random.default_rng(seed).uniform(-_NEAR, _NEAR, (CHAINS, size))
+        return self.begin(first, jax.random.split(jax.random.PRNGKey(seed), CHAINS), model.outcomes)
+
+
 def fit_posterior(
-    matrix: OutcomeMatrix, *, seed: int = 0, max_seconds: float = 600.0, least_draws: int = LEAST
+    matrix: OutcomeMatrix,
+    *,
+    seed: int = 0,
+    max_seconds: float = 600.0,
+    least_draws: int = LEAST,
+    compiled: CompiledChains | None = None,
 ) -> Posterior:
     """Draw from the joint posterior of all planners and scenes.
 
@@ -186,6 +241,7 @@ def fit_posterior(
         seed: The same seed and matrix give the same draws on one kind of processor.
         max_seconds: Seconds of processor time after which it gives up.
         least_draws: Draws of each of the four chains, at least.
+        compiled: Chains that sampled another matrix with the same holes and recordings.
 
     Returns:
         Draws of chains that agree: R-hat of every ability, discrimination and difficulty is at most 1.01.
@@ -204,8 +260,8 @@ def fit_posterior(
     with ExitStack() as stack:
         stack.enter_context(jax.experimental.enable_x64())
         stack.enter_context(jax.default_device(jax.devices("cpu")[0]))
-        x = np.tile(model.outcomes, (CHAINS, 1, 1))
-        state, advance = start_chains(model, x, seed)
+        chains = compiled or CompiledChains.of(model)
+        x, state = model.outcomes, chains.start(model, seed)
         warm = -(-WARM_UP // BLOCK)
         blocks: list[dict[str, Floats]] = []
         drawn, worst = 0, np.inf
@@ -216,11 +272,11 @@ def fit_posterior(
                     f"the chains did not agree within {max_seconds:g} s of processor time ({so_far}, {MOST_R_HAT} is "
                     "needed): no number is given; raise --max-seconds"
                 )
-            state, variables, diverged = advance(state, x)
+            state, variables, diverged = chains.advance(state, x)
             if warm:
                 warm -= 1
                 continue
-            block = {name: np.asarray(values) for name, values in model.build(variables, make_mathematics()).items()}
+            block = {name: np.asarray(values) for name, values in model.build(variables, NUMPY).items()}
             blocks.append({**block, "diverged": np.asarray(diverged)})
             drawn += BLOCK
             if drawn >= least_draws and drawn % (5 * BLOCK) == 0:
@@ -233,36 +289,6 @@ def fit_posterior(
 def _join(blocks: list[dict[str, Floats]], name: str) -> Floats:
     """(chains, draws, ...) of one parameter."""
     return np.concatenate([block[name] for block in blocks], axis=1)
-
-
-def start_chains(model: JointModel, x: Floats, seed: int) -> tuple[Any, Callable[[Any, Floats], tuple[Any, Any, Any]]]:
-    """State of C chains of outcomes ``x`` (C, S, N), and what advances them by a block of draws.
-
-    Of the state and ``x`` that makes the new state, (C, block, V) variables, and (C, block) whether each diverged.
-    """
-    import jax
-    from jax.scipy import special
-    from numpyro.infer.hmc import hmc
-
-    use = Mathematics(jax.numpy, special)
-    start, sample = hmc(potential_fn_gen=lambda own: model.make_potential(use, own), algo="NUTS")
-    rng = np.random.default_rng(seed)
-    size = sum(int(np.prod(shape)) for shape in model.shapes.values())
-    first = rng.uniform(-_NEAR, _NEAR, (len(x), size))
-    keys = jax.random.split(jax.random.PRNGKey(seed), len(x))
-
-    def begin(variables: Any, key: Any, own: Any) -> Any:
-        return start(variables, num_warmup=WARM_UP, max_tree_depth=_DEPTHS, model_args=(own,), rng_key=key)
-
-    def advance(state: Any, own: Any) -> tuple[Any, Any, Any]:
-        def step(state: Any, _: None) -> tuple[Any, tuple[Any, Any]]:
-            state = sample(state, (own,), {})
-            return state, (state.z, state.diverging)
-
-        state, (variables, diverged) = jax.lax.scan(step, state, None, length=BLOCK)
-        return state, variables, diverged
-
-    return jax.jit(jax.vmap(begin))(first, keys, x), jax.jit(jax.vmap(advance))
 
 
 def compute_r_hat(draws: Floats) -> float:

@@ -13,12 +13,12 @@ from benchmark.untrusted.files import JSON, read_file
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden_sets import GoldenFolder, GoldenSet
 from leaderboard.extensions.ability.likelihood import (
+    NUMPY,
     ScoreItem,
     clip_scores,
     compute_score_gradients,
     compute_score_information,
     compute_score_log_likelihood,
-    make_mathematics,
 )
 from leaderboard.extensions.ability.matrix import Outcome, OutcomeMatrix
 from leaderboard.extensions.ability.posterior import Posterior, rank_draws
@@ -30,6 +30,8 @@ _MATRICES: Final[dict[str, Outcome]] = {"binary": "contact", "zoib": "score", "g
 """Kinds of outcomes by the first word of a matrix' name."""
 _LEAST: Final = 3000
 """Draws of each chain, twice as many as the stored posteriors have."""
+_SMALL: Final = 500
+"""Matrices of fewer cells get twice as many: discriminations have long tails there, and means of them wander."""
 _SECONDS: Final = 900.0
 _BATCH: Final = 100
 _ITEMS: Final = {"alpha": "discriminations", "beta": "difficulties"}
@@ -41,7 +43,7 @@ def compare_cells(comparison: Comparison, golden: GoldenFolder) -> None:
     columns = {name: np.array([cell[name] for cell in cells], np.float64) for name in cells[0]}
     x, t = clip_scores(columns["x"]), columns["t"]
     item = ScoreItem(columns["beta"], columns["omega"], columns["g0"], columns["D"])
-    ours = {"loglik": compute_score_log_likelihood(x, t, item, make_mathematics())}
+    ours = {"loglik": compute_score_log_likelihood(x, t, item, NUMPY)}
     gradients = compute_score_gradients(x, t, item)
     ours |= dict(zip(("d_t", "d_beta", "d_omega", "d_g0", "d_D"), gradients, strict=True))
     ours["information_about_t"] = compute_score_information(t, item)
@@ -59,7 +61,9 @@ def compare_matrices(comparison: Comparison, golden: GoldenFolder) -> None:
 
     for folder in folders:
         kind = _MATRICES[folder.name.partition("-")[0]]
-        posterior = fit_posterior(read_matrix(folder, kind), max_seconds=_SECONDS, least_draws=_LEAST)
+        matrix = read_matrix(folder, kind)
+        least = _LEAST if matrix.values.size >= _SMALL else 2 * _LEAST
+        posterior = fit_posterior(matrix, max_seconds=_SECONDS, least_draws=least)
         compare_posterior(comparison.at(folder.name), posterior, GoldenFolder(folder).facts("posterior.json"))
 
 

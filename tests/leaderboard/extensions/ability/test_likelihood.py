@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import integrate
+from scipy import integrate, special
 
 from leaderboard.extensions.ability.likelihood import (
     CLIPPED,
+    NUMPY,
     ScoreItem,
     clip_scores,
     compute_binary_information,
@@ -20,12 +21,9 @@ from leaderboard.extensions.ability.likelihood import (
     compute_score_gradients,
     compute_score_information,
     compute_score_log_likelihood,
-    make_mathematics,
 )
 from leaderboard.extensions.ability.posterior import find_half
 from leaderboard.extensions.ability.verification import BUILT_IN, GOLDEN
-
-USE = make_mathematics()
 
 
 def test_the_built_in_cells_and_matrix_agree() -> None:
@@ -58,7 +56,7 @@ def test_gradients_are_those_of_small_steps(x: float) -> None:
     step = 1e-6
 
     def value(at: float, of: ScoreItem) -> float:
-        return float(compute_score_log_likelihood(np.array(x), np.array(at), of, USE))
+        return float(compute_score_log_likelihood(np.array(x), np.array(at), of, NUMPY))
 
     found = compute_score_gradients(np.array(x), np.array(t), own)
     slopes: dict[str, Any] = {"t": (value(t + step, own) - value(t - step, own)) / (2 * step)}
@@ -74,7 +72,7 @@ def test_the_masses_and_the_density_of_scores_add_up_and_the_information_is_the_
         t, own = item(np.random.default_rng(seed))
 
         def density(x: float, t: float = t, own: ScoreItem = own) -> float:
-            return float(np.exp(compute_score_log_likelihood(np.array(x), np.array(t), own, USE)))
+            return float(np.exp(compute_score_log_likelihood(np.array(x), np.array(t), own, NUMPY)))
 
         def weighed(x: float, t: float = t, own: ScoreItem = own) -> float:
             return density(x) * float(compute_score_gradients(np.array(x), np.array(t), own).t) ** 2
@@ -90,11 +88,11 @@ def test_binary_and_ordered_cells_agree_with_two_categories_and_add_up_with_more
     rng = np.random.default_rng(2)
     ability, beta, alpha = rng.normal(size=20), rng.normal(size=20), np.exp(rng.normal(size=20))
     for x in (0.0, 1.0):
-        binary = compute_binary_log_likelihood(x, alpha, ability, beta, USE)
+        binary = compute_binary_log_likelihood(x, alpha, ability, beta, NUMPY)
         cuts = (alpha * beta)[:, None]
-        assert np.allclose(binary, compute_ordered_log_likelihood(np.full(20, x), alpha * ability, cuts, USE))
+        assert np.allclose(binary, compute_ordered_log_likelihood(np.full(20, x), alpha * ability, cuts, NUMPY))
     cuts = np.sort(rng.normal(size=(20, 3)), axis=1)
-    parts = [np.exp(compute_ordered_log_likelihood(np.full(20, float(k)), ability, cuts, USE)) for k in range(4)]
+    parts = [np.exp(compute_ordered_log_likelihood(np.full(20, float(k)), ability, cuts, NUMPY)) for k in range(4)]
     assert np.allclose(sum(parts), 1.0) and min(part.min() for part in parts) > 0.0
     safe = 1.0 / (1.0 + np.exp(-alpha * (ability - beta)))
     assert np.allclose(compute_binary_information(alpha, ability, beta), alpha**2 * safe * (1 - safe))
@@ -108,6 +106,12 @@ def test_far_out_nothing_overflows_and_half_is_found() -> None:
     own = ScoreItem(np.array([0.0, 30.0]), np.array([1.5, 1.5]), np.array([-2.0, -2.0]), np.array([1e-3, 4.0]))
     with np.errstate(all="raise", under="ignore"):
         for x in (0.0, 0.4, 1.0):
-            value = compute_score_log_likelihood(np.full(2, x), np.array([-60.0, 60.0]), own, USE)
+            value = compute_score_log_likelihood(np.full(2, x), np.array([-60.0, 60.0]), own, NUMPY)
             assert np.isfinite(value).all()
     assert np.allclose(compute_expected_score(find_half(own), own), 0.5)
+
+
+def test_the_beta_function_is_that_of_scipy_and_logs_are_stable_far_out() -> None:
+    a, b = np.exp(np.random.default_rng(0).uniform(-8, 8, (2, 500)))
+    assert np.allclose(NUMPY.log_beta(a, b), special.betaln(a, b), rtol=1e-12, atol=1e-9)
+    assert NUMPY.log_sigmoid(np.array([-800.0, 0.0, 800.0])) == pytest.approx([-800.0, -np.log(2.0), 0.0])
