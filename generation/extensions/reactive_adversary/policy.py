@@ -6,7 +6,8 @@ can then end without touching any but the ego, to the scene's last frame (`safe_
 driven where nothing better is found.
 """
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -46,6 +47,7 @@ from generation.search.refinement import Refinement, ResamplingUnderflowError, c
 
 MOST_CANDIDATES_CHECKED: Final = 96
 """Candidates that are asked after the best one of a search, where that may not be driven."""
+_TOGETHER: Final = (8, 24, MOST_CANDIDATES_CHECKED)
 _NO_SCRIPT: Final = (EgoPrediction.RECORDING, EgoPrediction.MOTION_ONLY)
 _FAR_M: Final = 5.0
 """Nearer than this to the edge of the area around the ego, an adversary looks at the road around itself."""
@@ -290,14 +292,17 @@ class ReactiveAdversary:
         """The best candidate that may be driven, or the brakes."""
         # An adversary that is already off the road may return to it, however.
         on_road = bool(scene.road_map.is_drivable(memory.track[-1, :2]))
-        for number, index in () if refinement is None else self._order_candidates(refinement):
-            assert refinement is not None
-            motion = refinement.batches[number].evaluated.motion
-            if not motion.finite[index] or (on_road and _is_leaving_road(refinement, number, index, steps)):
-                continue
-            ending = around.ending(motion.center[index], steps)
-            if ending is not None:
-                return self._build_searched_motion(frame, steps, refinement, number, index, ending)
+        allowed = iter(() if refinement is None else self._list_allowed(refinement, steps, on_road=on_road))
+        # Mostly the first may be driven; the others are looked at together, more and more at a time.
+        for most in (1, *_TOGETHER):
+            some = [*itertools.islice(allowed, most)]
+            if refinement is None or not some:
+                break
+            batches = refinement.batches
+            motions = np.stack([batches[number].evaluated.motion.center[index] for number, index in some])
+            found = around.find_ending(motions, steps)
+            if found is not None:
+                return self._build_searched_motion(frame, steps, refinement, *some[found[0]], found[1])
         return self._brake_on_path(around, frame, steps, memory)
 
     def _build_searched_motion(
@@ -315,10 +320,14 @@ class ReactiveAdversary:
             picked=(number, index),
         )
 
-    def _order_candidates(self, refinement: Refinement) -> "Any":
-        """Round and index: what the search chose, then the others by score."""
-        yield refinement.round, refinement.chosen
-        yield from order_candidates(compare_scores(refinement.batches, self.settings.hyper), MOST_CANDIDATES_CHECKED)
+    def _list_allowed(self, refinement: Refinement, steps: int, *, on_road: bool) -> Iterator[tuple[int, int]]:
+        """Round and index: what the search chose, then the others by score, but those that would leave the road."""
+        scores = compare_scores(refinement.batches, self.settings.hyper)
+        others = order_candidates(scores, MOST_CANDIDATES_CHECKED)
+        for number, index in itertools.chain([(refinement.round, refinement.chosen)], others):
+            motion = refinement.batches[number].evaluated.motion
+            if motion.finite[index] and not (on_road and _is_leaving_road(refinement, number, index, steps)):
+                yield number, index
 
     def _build_replanning(
         self, scene: Scene, frame: int, state: VehicleState, refinement: Refinement | None, chosen: _ChosenMotion

@@ -23,6 +23,8 @@ BRAKING_M_S2: Final = (GENTLE_M_S2, DriverLimits().braking_m_s2, 8.0)
 """How it brakes where no candidate is allowed: gently, as hard as a driver does, as hard as tyres do."""
 LATER_FRAMES: Final = 6
 """A plan may end with brakes at once, or any number of half seconds later."""
+SOON_FRAMES: Final = 66
+"""Within which most endings that touch another do: 5.5 s."""
 _CHUNK: Final = 10
 """Instants that bodies are bounded over: 0.5 s."""
 
@@ -115,61 +117,106 @@ class SurroundingTracks:
         later, and stands; gentle braking comes first. ``poses`` are (F, 3) of the box centre from the planning frame
         on.
         """
-        for first, braking in self._list_endings(poses, executed):
+        for first, braking in self._list_endings(len(poses), executed):
             yield brake_on_path(poses, first, self.frame_seconds, braking)
 
-    def _list_endings(self, poses: Floats, executed: int) -> list[tuple[int, float]]:
-        """From which frame on each ending brakes, and how hard."""
+    def _list_endings(self, length: int, executed: int) -> list[tuple[int, float]]:
+        """From which frame on each ending of so many poses brakes, and how hard."""
         count = len(self.frame_seconds)
-        end = min(len(poses), count) - 1
+        end = min(length, count) - 1
         first = min(executed, end)
         later = range(first, end + 1, LATER_FRAMES) if first < count - 1 else ()
         return [(end, 0.0), *((frame, braking) for braking in BRAKING_M_S2 for frame in later)]
 
     def ending(self, poses: Floats, executed: int) -> Floats | None:
         """The first of them that never touches another; ``None`` if there is none."""
-        last = min(executed, len(self.frame_seconds) - 1)
-        if self.compute_clear_seconds(poses[: last + 1]) < np.inf:
-            return None
-        kinds = self._list_endings(poses, executed)
-        # Most go on at their speed; of those that cannot, all brakes are looked at together.
-        for some in (kinds[:1], kinds[1:]):
-            motions = brake_on_paths(poses, some, self.frame_seconds)
-            clear = self.find_clear(motions, last)
-            if clear.any():
-                return np.asarray(motions[int(np.argmax(clear))])
-        return None
+        found = self.find_ending(poses[None], executed)
+        return None if found is None else found[1]
 
-    def find_clear(self, motions: Floats, first: int) -> Bools:
-        """(E,) whether (E, K + 1, 3) motions to the last frame touch nobody from a frame on."""
-        known = self.frame_seconds
+    def find_ending(self, motions: Floats, executed: int) -> tuple[int, Floats] | None:
+        """Index of the first of (N, F, 3) motions that has an `ending`, and that ending; looked at together."""
+        last = min(executed, len(self.frame_seconds) - 1)
+        kept = np.flatnonzero(self._find_clear(motions[:, : last + 1].transpose(2, 0, 1), 0))
+        kinds = self._list_endings(motions.shape[1], executed)
+        goes_on = self._find_clear_endings(motions[kept], kinds[:1], last)[:, 0]
+        # One that can go on at its speed needs no brakes, and none after it is asked.
+        before = int(np.argmax(goes_on)) if goes_on.any() else len(kept)
+        brakes = self._find_clear_endings(motions[kept[:before]], kinds[1:], last)
+        if brakes.any():
+            row = int(np.argmax(brakes.any(axis=1)))
+            chosen, (first, braking) = int(kept[row]), kinds[1 + int(np.argmax(brakes[row]))]
+        elif before < len(kept):
+            chosen, (first, braking) = int(kept[before]), kinds[0]
+        else:
+            return None
+        return chosen, brake_on_path(motions[chosen], first, self.frame_seconds, braking)
+
+    def _find_clear_endings(self, motions: Floats, kinds: Sequence[tuple[int, float]], last: int) -> Bools:
+        """(N, E) which endings of (N, F, 3) motions touch nobody from the frame ``last`` on."""
+        clear = np.ones((len(motions), len(kinds)), np.bool_)
+        count = len(self.frame_seconds)
+        # Most contacts are soon: what is left after some seconds is looked at to the end.
+        for frames in (min(last + SOON_FRAMES, count), count):
+            row, kind = np.nonzero(clear)
+            if len(row):
+                columns = brake_on_paths(motions, row, [kinds[each] for each in kind], self.frame_seconds, frames)
+                clear[row, kind] = self._find_clear(columns, last)
+            if frames == count:
+                break
+        return clear
+
+    def _find_clear(self, columns: Floats, first: int) -> Bools:
+        """(P,) whether motions touch nobody from a frame on; (3, P, K) x, y, yaw of the first frames."""
+        known = self.frame_seconds[: columns.shape[2]]
         count = int(np.searchsorted(self.seconds, known[-1] + 1e-9, side="right"))
         begin = int(np.searchsorted(self.seconds, known[first] + 1e-9, side="right")) // _CHUNK * _CHUNK
-        clear = np.ones(len(motions), np.bool_)
-        if begin >= count or not len(motions):
+        clear = np.ones(columns.shape[1], np.bool_)
+        if begin >= count or not len(clear):
             return clear
-        columns = np.stack([motions[..., 0], motions[..., 1], np.unwrap(motions[..., 2], axis=1)])
-        placed = _interpolate_rows(self.seconds[begin:count], known, columns)
-        begins = np.arange(0, count - begin, _CHUNK)
-        reach = self.reach + 0.5 * float(np.hypot(*self.size)) + 1e-6
-        chunks = slice(begin // _CHUNK, begin // _CHUNK + len(begins))
-        may = np.ones((len(motions), len(begins), len(reach)), np.bool_)
-        for axis in range(2):
-            lowest = np.minimum.reduceat(placed[axis], begins, axis=1)[..., None] - reach
-            highest = np.maximum.reduceat(placed[axis], begins, axis=1)[..., None] + reach
-            may &= (self.low[chunks, :, axis] <= highest) & (self.high[chunks, :, axis] >= lowest)
-        motion, chunk, other = np.nonzero(may)
-        row = (chunk[:, None] * _CHUNK + np.arange(_CHUNK)).ravel()
+        motion, chunk, other = self._find_near_chunks(columns[:2], known, begin, count)
+        row = (chunk[:, None] * _CHUNK + np.arange(begin, begin + _CHUNK)).ravel()
         motion, other = np.repeat(motion, _CHUNK), np.repeat(other, _CHUNK)
-        inside = row < count - begin
-        motion, row, other = motion[inside], row[inside], other[inside]
-        away = self.boxes[row + begin, other, :2] - placed[:2, motion, row].T
-        near = self.present[row + begin, other] & ((away**2).sum(axis=1) <= reach[other] ** 2)
+        there = (row < count) & self.present[np.minimum(row, count - 1), other]
+        motion, row, other = motion[there], row[there], other[there]
+        between = _Between.of(known, self.seconds[:count])
+        x, y = (between.at(axis, motion, row) for axis in columns[:2])
+        away_x, away_y = self.boxes[row, other, 0] - x, self.boxes[row, other, 1] - y
+        near = away_x**2 + away_y**2 <= (self._reach_of_both[other]) ** 2
         motion, row, other = motion[near], row[near], other[near]
+        turning, where = np.unique(motion, return_inverse=True)
         own = np.empty((len(row), 5))
-        own[:, [0, 1, 4]], own[:, 2:4] = placed[:, motion, row].T, self.size
-        clear[motion[boxes_overlap(own, self.boxes[row + begin, other])]] = False
+        own[:, 0], own[:, 1], own[:, 2:4] = x[near], y[near], self.size
+        own[:, 4] = between.at(np.unwrap(columns[2, turning], axis=1), where, row)
+        clear[motion[boxes_overlap(own, self.boxes[row, other])]] = False
         return clear
+
+    def _find_near_chunks(
+        self, places: Floats, known: Floats, begin: int, count: int
+    ) -> tuple[Integers, Integers, Integers]:
+        """Motion, run of instants after ``begin``, and other, of all that may touch; (2, P, K) ``places`` of frames."""
+        starts = np.arange(begin, count, _CHUNK)
+        ends = np.minimum(starts + _CHUNK, count) - 1
+        frame = np.maximum(np.searchsorted(known, self.seconds[starts], side="right") - 1, 0)
+        after = np.minimum(np.searchsorted(known, self.seconds[ends]), len(known) - 1) + 1
+        bounds = np.column_stack([frame, after]).ravel()
+        padded = np.concatenate([places, places[..., -1:]], axis=2)
+        low, high = (bound.reduceat(padded, bounds, axis=2)[..., ::2] for bound in (np.minimum, np.maximum))
+        chunks, reach = slice(begin // _CHUNK, begin // _CHUNK + len(starts)), self._reach_of_both
+        their_low, their_high = self.low[chunks] - reach[:, None], self.high[chunks] + reach[:, None]
+        lowest, highest = low.min(axis=1).T[:, None], high.max(axis=1).T[:, None]
+        # Most others are far from all motions.
+        chunk, other = np.nonzero(((their_low <= highest) & (their_high >= lowest)).all(axis=-1))
+        may = np.ones((places.shape[1], len(chunk)), np.bool_)
+        for axis in range(2):
+            may &= low[axis][:, chunk] <= their_high[chunk, other, axis]
+            may &= high[axis][:, chunk] >= their_low[chunk, other, axis]
+        motion, pair = np.nonzero(may)
+        return motion, chunk[pair], other[pair]
+
+    @property
+    def _reach_of_both(self) -> Floats:
+        """(N,) distance of centres within which bodies may touch, metres."""
+        return np.asarray(self.reach + 0.5 * float(np.hypot(*self.size)) + 1e-6)
 
     def find_longest(self, motions: Iterable[Floats]) -> Floats:
         """The first of some motions that last longest before they touch another."""
@@ -202,43 +249,65 @@ def brake_on_path(poses: Floats, first: int, seconds: Floats, braking_m_s2: floa
     return np.concatenate([path[:first], np.column_stack([place, turned])])
 
 
-def brake_on_paths(poses: Floats, kinds: Sequence[tuple[int, float]], seconds: Floats) -> Floats:
-    """(E, K, 3) `brake_on_path` of one motion in E ways, frame and m/s^2, the same to the last bit."""
-    count = len(seconds)
-    path = poses[: min(len(poses), count)]
-    steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
-    station = np.concatenate([[0.0], np.cumsum(steps)])
-    goals = []
-    for first, braking in kinds:
-        before = max(first - 1, 0)
-        after = min(before + 1, len(path) - 1)
-        span = float(seconds[after] - seconds[before]) if after > before else 1.0
-        speed = float(station[after] - station[before]) / span
-        time = seconds[first:] - seconds[first]
-        if braking > 0.0:
-            time = np.minimum(time, speed / braking)
-        goals.append(station[min(first, len(path) - 1)] + speed * time - 0.5 * braking * time**2)
-    goal = np.concatenate([np.zeros(0), *goals])
-    beyond = np.maximum(goal - station[-1], 0.0)
-    ahead = np.array([np.cos(path[-1, 2]), np.sin(path[-1, 2])])
-    place = np.column_stack([np.interp(goal, station, path[:, axis]) for axis in range(2)]) + beyond[:, None] * ahead
-    later = np.column_stack([place, wrap_angle(np.interp(goal, station, np.unwrap(path[:, 2])))])
-    motions = np.empty((len(kinds), count, 3))
-    at = 0
-    for row, (first, _) in enumerate(kinds):
-        motions[row, :first], motions[row, first:] = path[:first], later[at : at + count - first]
-        at += count - first
-    return motions
+def brake_on_paths(
+    motions: Floats, row: Integers, kinds: Sequence[tuple[int, float]], seconds: Floats, frames: int
+) -> Floats:
+    """(3, P, frames) `brake_on_path` of (N, F, 3) motions, the same to the last bit: x, y, yaw of the first frames.
+
+    ``row`` (P,), not falling, is the motion of each, ``kinds`` from which frame on it brakes, and how hard.
+    """
+    path = motions[:, : len(seconds)]
+    steps = np.hypot(np.diff(path[..., 0], axis=1), np.diff(path[..., 1], axis=1))
+    station = np.concatenate([np.zeros((len(path), 1)), np.cumsum(steps, axis=1)], axis=1)
+    first, braking = np.array([kind[0] for kind in kinds]), np.array([kind[1] for kind in kinds])[:, None]
+    before = np.maximum(first - 1, 0)
+    after = np.minimum(before + 1, path.shape[1] - 1)
+    span = np.where(after > before, seconds[after] - seconds[before], 1.0)
+    speed = ((station[row, after] - station[row, before]) / span)[:, None]
+    stop = np.divide(speed, braking, out=np.full_like(speed, np.inf), where=braking > 0.0)
+    time = np.minimum(seconds[:frames] - seconds[first][:, None], stop)
+    goal = station[row, np.minimum(first, path.shape[1] - 1)][:, None] + speed * time - 0.5 * braking * time**2
+    columns = np.empty((3, *goal.shape))
+    yaw = np.unwrap(path[..., 2], axis=1)
+    cuts = np.searchsorted(row, np.arange(len(path) + 1))
+    for at, (start, end) in enumerate(zip(cuts, cuts[1:])):
+        for axis, known in enumerate((path[at, :, 0], path[at, :, 1], yaw[at])):
+            columns[axis, start:end] = np.interp(goal[start:end], station[at], known)
+    beyond = np.maximum(goal - station[row, -1:], 0.0)
+    for axis, ahead in enumerate((np.cos(path[:, -1, 2]), np.sin(path[:, -1, 2]))):
+        columns[axis] += beyond * ahead[row][:, None]
+    columns[2] = wrap_angle(columns[2])
+    kept = min(path.shape[1], frames)
+    as_planned = np.arange(kept) < first[:, None]
+    for axis in range(3):
+        np.copyto(columns[axis, :, :kept], path[row, :kept, axis], where=as_planned)
+    return columns
 
 
-def _interpolate_rows(wanted: Floats, known: Floats, rows: Floats) -> Floats:
-    """(..., I) `numpy.interp` of (..., K) rows that share their (K,) known places, the same to the last bit."""
-    at = np.clip(np.searchsorted(known, wanted, side="right") - 1, 0, len(known) - 1)
-    after = np.minimum(at + 1, len(known) - 1)
-    here = rows[..., at]
-    width = np.where(after > at, known[after] - known[at], 1.0)
-    between = (rows[..., after] - here) / width * (wanted - known[at]) + here
-    return np.asarray(np.where((known[at] == wanted) | (after == at), here, between))
+@dataclass(frozen=True, slots=True)
+class _Between:
+    """Places of (I,) instants among (K,) frames: linear, as by `numpy.interp`, the same to the last bit."""
+
+    frame: Integers
+    after: Integers
+    width: Floats
+    past: Floats
+    on_frame: Bools
+
+    @classmethod
+    def of(cls, known: Floats, wanted: Floats) -> Self:
+        """Instants among frames, both in seconds."""
+        frame = np.clip(np.searchsorted(known, wanted, side="right") - 1, 0, len(known) - 1)
+        after = np.minimum(frame + 1, len(known) - 1)
+        width = np.where(after > frame, known[after] - known[frame], 1.0)
+        return cls(frame, after, width, wanted - known[frame], (known[frame] == wanted) | (after == frame))
+
+    def at(self, rows: Floats, row: Integers, instant: Integers) -> Floats:
+        """(L,) values of (P, K) rows, each of its row at its instant."""
+        here = rows[row, self.frame[instant]]
+        later = rows[row, self.after[instant]]
+        between = (later - here) / self.width[instant] * self.past[instant] + here
+        return np.asarray(np.where(self.on_frame[instant], here, between))
 
 
 def order_candidates(scores: Floats, most: int) -> Iterator[tuple[int, int]]:
