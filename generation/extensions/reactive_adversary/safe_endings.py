@@ -23,8 +23,8 @@ BRAKING_M_S2: Final = (GENTLE_M_S2, DriverLimits().braking_m_s2, 8.0)
 """How it brakes where no candidate is allowed: gently, as hard as a driver does, as hard as tyres do."""
 LATER_FRAMES: Final = 6
 """A plan may end with brakes at once, or any number of half seconds later."""
-SOON_FRAMES: Final = 66
-"""Within which most endings that touch another do: 5.5 s."""
+SOON_FRAMES: Final = (24, 42, 66)
+"""Within 2, 3.5 and 5.5 s most endings that touch another do."""
 _CHUNK: Final = 10
 """Instants that bodies are bounded over: 0.5 s."""
 
@@ -155,13 +155,18 @@ class SurroundingTracks:
         """(N, E) which endings of (N, F, 3) motions touch nobody from the frame ``last`` on."""
         clear = np.ones((len(motions), len(kinds)), np.bool_)
         count = len(self.frame_seconds)
-        # Most contacts are soon: what is left after some seconds is looked at to the end.
-        for frames in (min(last + SOON_FRAMES, count), count):
+        # Most contacts are soon, and what touches one needs no look at what comes later.
+        for ends in ([min(last + ahead, count) for ahead in SOON_FRAMES], [count]):
             row, kind = np.nonzero(clear)
             if len(row):
-                columns = brake_on_paths(motions, row, [kinds[each] for each in kind], self.frame_seconds, frames)
-                clear[row, kind] = self._find_clear(columns, last)
-            if frames == count:
+                columns = brake_on_paths(motions, row, [kinds[each] for each in kind], self.frame_seconds, ends[-1])
+                alive = np.arange(len(row))
+                for end in ends:
+                    alive = alive[self._find_clear(columns[:, alive, :end], last)]
+                    last = end - 1
+                clear[:] = False
+                clear[row[alive], kind[alive]] = True
+            if ends[-1] == count:
                 break
         return clear
 
