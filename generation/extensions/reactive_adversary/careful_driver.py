@@ -14,7 +14,7 @@ from typing import Final, Self
 import numpy as np
 
 from benchmark.constants import FRAME_HZ
-from benchmark.dynamics.bicycle import SimulatedMotion
+from benchmark.dynamics.bicycle import SimulatedMotion, compute_rear_axle
 from benchmark.geometry import Bools, Floats
 from benchmark.interactions.reaction import CAREFUL_TIME_S, HARDEST_BRAKING, REACTION_S
 from benchmark.machine.identity_cache import IdentityCache
@@ -286,6 +286,17 @@ class ReactivePlanning(AdversaryPlanning):
             return replace(terms, further=more if terms.further is None else terms.further + more)
 
         return rated
+
+
+def build_driven_motion(poses: Floats, length_m: float) -> SimulatedMotion:
+    """Motion of one track, (S + 1, 3) box centres by frame, as of a candidate; the tracker's commands are unknown."""
+    axle = compute_rear_axle(poses, length_m)
+    heading = np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+    velocity = np.gradient(axle[:, :2], 1.0 / FRAME_HZ, axis=0) if len(poses) > 1 else np.zeros((1, 2))
+    speed = (velocity * heading).sum(axis=1)
+    acceleration = np.gradient(speed, 1.0 / FRAME_HZ) if len(poses) > 1 else np.zeros(1)
+    states = np.column_stack([axle, speed, acceleration, np.zeros(len(poses))])
+    return SimulatedMotion(poses[None], states[None], np.zeros((1, len(poses) - 1, 2)), np.ones(1, np.bool_))
 
 
 def compute_ego_speed_at(scene: Scene, frame: int) -> float:

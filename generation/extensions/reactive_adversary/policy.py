@@ -17,23 +17,26 @@ from benchmark.closed_loop.adversary import ADVERSARY, AdversaryTrack, Handover,
 from benchmark.closed_loop.agent_policy import AgentMotion, AgentPolicy, TrafficSnapshot
 from benchmark.closed_loop.plan_tracking import SUBSTEP_US
 from benchmark.constants import FRAME_HZ
-from benchmark.dynamics.bicycle import MotionModel, SimulatedMotion, VehicleState, compute_rear_axle
+from benchmark.dynamics.bicycle import MotionModel, VehicleState, compute_rear_axle
 from benchmark.geometry import Floats, to_local
 from benchmark.machine.storage import content_seed
+from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
+from generation.extensions.reactive_adversary.braking import brake_on_path
 from generation.extensions.reactive_adversary.careful_driver import (
     CarefulDriverCheck,
     ReactivePlanning,
+    build_driven_motion,
     compute_ego_speed_at,
     get_careful_driver_check,
 )
 from generation.extensions.reactive_adversary.ego_prediction import EgoObservations, predict_ego
+from generation.extensions.reactive_adversary.rules import AdversaryRules, rasterise_road
 from generation.extensions.reactive_adversary.safe_endings import (
     AHEAD_FRAMES,
     BRAKING_M_S2,
     ExpectedAgents,
     SurroundingTracks,
-    brake_on_path,
     order_candidates,
     predict_others,
 )
@@ -106,8 +109,11 @@ class ReactiveAdversary:
     draws: bool = False
     handover: Handover = field(init=False, repr=False)
     model: MotionModel = field(init=False, repr=False)
+    road: DrivableRaster | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        bound = self.settings.knows is EgoPrediction.MOTION_ONLY
+        object.__setattr__(self, "road", rasterise_road(self.scene) if bound else None)
         object.__setattr__(self, "handover", Handover.of(self.scene, self.agent, self.start))
         object.__setattr__(self, "model", self.settings.hyper.motion_model())
 
@@ -171,8 +177,9 @@ class ReactiveAdversary:
         chosen, refinement = self._follow_scripted_track(scene, around, frame, steps, memory), None
         if chosen is None:
             refinement = self._search(planning, frame, memory)
-            chosen = self._choose_motion(scene, around, frame, steps, refinement, memory)
-            if self.settings.knows is not EgoPrediction.RECORDING:
+            rules = self._build_rules(scene, frame, memory)
+            chosen = self._choose_motion(scene, around, frame, steps, refinement, memory, rules)
+            if rules is None and self.settings.knows is not EgoPrediction.RECORDING:
                 chosen = self._yield_if_safer(scene, around, frame, steps, chosen, memory)
         replanning = self._build_replanning(scene, frame, memory.state, refinement, chosen)
         return replace(
@@ -274,6 +281,13 @@ class ReactiveAdversary:
             return None
         return refinement
 
+    def _build_rules(self, scene: Scene, frame: int, memory: AdversaryMemory) -> AdversaryRules | None:
+        """Rules at a frame, of who has a road to keep to."""
+        if self.road is None:
+            return None
+        careful = get_careful_driver_check(scene, self.agent, frame, compute_ego_speed_at(scene, frame))
+        return AdversaryRules.of(scene, self.road, careful, self.agent, memory.track[-1])
+
     def _find_road_pose(self, scene: Scene, frame: int, pose: Floats) -> Floats | None:
         """Around the ego, as the search looks; around itself where the area around the ego has lost it."""
         half = self.settings.hyper.half_extent_m - _FAR_M
@@ -288,6 +302,7 @@ class ReactiveAdversary:
         steps: int,
         refinement: Refinement | None,
         memory: AdversaryMemory,
+        rules: AdversaryRules | None,
     ) -> _ChosenMotion:
         """The best candidate that may be driven, or the brakes."""
         # An adversary that is already off the road may return to it, however.
@@ -300,10 +315,13 @@ class ReactiveAdversary:
                 break
             batches = refinement.batches
             motions = np.stack([batches[number].evaluated.motion.center[index] for number, index in some])
-            found = around.find_ending(motions, steps)
+            if rules is not None:
+                fair = np.flatnonzero(rules.are_fair(motions))
+                some, motions = [some[row] for row in fair], motions[fair]
+            found = around.find_ending(motions, steps, None if rules is None else rules.are_on_road)
             if found is not None:
                 return self._build_searched_motion(frame, steps, refinement, *some[found[0]], found[1])
-        return self._brake_on_path(around, frame, steps, memory)
+        return self._brake_on_path(scene, around, frame, steps, memory, rules)
 
     def _build_searched_motion(
         self, frame: int, steps: int, refinement: Refinement, number: int, index: int, ending: Floats
@@ -342,12 +360,19 @@ class ReactiveAdversary:
         return replace(chosen.replanning, considered=considered)
 
     def _brake_on_path(
-        self, around: SurroundingTracks, frame: int, steps: int, memory: AdversaryMemory
+        self,
+        scene: Scene,
+        around: SurroundingTracks,
+        frame: int,
+        steps: int,
+        memory: AdversaryMemory,
+        rules: AdversaryRules | None,
     ) -> _ChosenMotion:
         """Brakes on the meant path, as gently as touches no other; or the ending that was kept; or the longest one."""
         cached_ending = np.concatenate([memory.track[-1:], memory.ending])
-        slowed = self._compute_brakings((0.0, *BRAKING_M_S2), around, memory)
-        return self._build_braked_motion(frame, steps, around.find_longest((*slowed, cached_ending)))
+        options = [*self._compute_brakings((0.0, *BRAKING_M_S2), around, memory), cached_ending]
+        poses = around.find_longest(options) if rules is None else rules.choose(scene, around, frame, options)
+        return self._build_braked_motion(frame, steps, poses)
 
     def _compute_brakings(
         self, brakings: Sequence[float], around: SurroundingTracks, memory: AdversaryMemory
@@ -375,17 +400,6 @@ class ReactiveAdversary:
         before = np.array([[*(path[0, :2] - back), path[0, 2]]])
         times = np.concatenate([[-1.0 / FRAME_HZ], seconds])
         return brake_on_path(np.concatenate([before, path]), 1, times, braking_m_s2)[1:]
-
-
-def build_driven_motion(poses: Floats, length_m: float) -> SimulatedMotion:
-    """Motion of one track, (S + 1, 3) box centres by frame, as of a candidate; the tracker's commands are unknown."""
-    axle = compute_rear_axle(poses, length_m)
-    heading = np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
-    velocity = np.gradient(axle[:, :2], 1.0 / FRAME_HZ, axis=0) if len(poses) > 1 else np.zeros((1, 2))
-    speed = (velocity * heading).sum(axis=1)
-    acceleration = np.gradient(speed, 1.0 / FRAME_HZ) if len(poses) > 1 else np.zeros(1)
-    states = np.column_stack([axle, speed, acceleration, np.zeros(len(poses))])
-    return SimulatedMotion(poses[None], states[None], np.zeros((1, len(poses) - 1, 2)), np.ones(1, np.bool_))
 
 
 def _compute_ahead(poses: Floats, steps: int) -> Floats:

@@ -1,6 +1,6 @@
 """Admissible plans of an adversary: no contact but with the ego, and a safe end, with others predicted by policy."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Self
 
@@ -13,6 +13,7 @@ from benchmark.dynamics.bicycle import DriverLimits
 from benchmark.geometry import Bools, Floats, boxes_overlap, wrap_angle
 from benchmark.interactions.tracks import ContinuousTracks, Integers
 from benchmark.scene import Scene
+from generation.extensions.reactive_adversary.braking import InstantsBetween, brake_on_path, brake_on_paths
 
 AIR_M: Final = 0.1
 """Between bodies, on every side: what is driven is looked at every 0.05 s alone."""
@@ -61,13 +62,23 @@ class SurroundingTracks:
         )
         present[agent] = False
         boxes, present = np.ascontiguousarray(boxes.transpose(1, 0, 2)), np.ascontiguousarray(present.T)
-        begins = np.arange(0, len(seconds), _CHUNK)
-        is_present, centre = present[..., None], boxes[..., :2]
-        low = np.minimum.reduceat(np.where(is_present, centre, np.inf), begins, axis=0)
-        high = np.maximum.reduceat(np.where(is_present, centre, -np.inf), begins, axis=0)
+        low, high = _bound(boxes, present)
         reach = 0.5 * np.hypot(*scene.agents.size[:, :2].T)
         size = scene.agents.size[agent, :2] + 2.0 * AIR_M
         return cls(frames, seconds, boxes, present, reach, low, high, size)
+
+    def extend(self, boxes: Floats) -> Self:
+        """With one more, who is always there, at (R, 5) boxes."""
+        present = np.ones((len(boxes), 1), np.bool_)
+        low, high = _bound(boxes[:, None], present)
+        return replace(
+            self,
+            boxes=np.concatenate([self.boxes, boxes[:, None]], axis=1),
+            present=np.concatenate([self.present, present], axis=1),
+            reach=np.append(self.reach, 0.5 * np.hypot(*boxes[0, 2:4])),
+            low=np.concatenate([self.low, low], axis=1),
+            high=np.concatenate([self.high, high], axis=1),
+        )
 
     def compute_clear_seconds(self, poses: Floats, first: int = 0) -> float:
         """Seconds to the last instant before a motion touches another, looked at from ``first`` on; infinite if never.
@@ -133,15 +144,21 @@ class SurroundingTracks:
         found = self.find_ending(poses[None], executed)
         return None if found is None else found[1]
 
-    def find_ending(self, motions: Floats, executed: int) -> tuple[int, Floats] | None:
-        """Index of the first of (N, F, 3) motions that has an `ending`, and that ending; looked at together."""
+    def find_ending(
+        self, motions: Floats, executed: int, are_allowed: Callable[[Floats], Bools] | None = None
+    ) -> tuple[int, Floats] | None:
+        """Index of the first of (N, F, 3) motions that has an `ending`, and that ending; looked at together.
+
+        ``are_allowed`` says which of (3, P, K) x, y, yaw are, of any motions from now on.
+        """
         last = min(executed, len(self.frame_seconds) - 1)
-        kept = np.flatnonzero(self._find_clear(motions[:, : last + 1].transpose(2, 0, 1), 0))
+        done = motions[:, : last + 1].transpose(2, 0, 1)
+        kept = np.flatnonzero(self._find_clear(done, 0) & (True if are_allowed is None else are_allowed(done)))
         kinds = self._list_endings(motions.shape[1], executed)
-        goes_on = self._find_clear_endings(motions[kept], kinds[:1], last)[:, 0]
+        goes_on = self._find_clear_endings(motions[kept], kinds[:1], last, are_allowed)[:, 0]
         # One that can go on at its speed needs no brakes, and none after it is asked.
         before = int(np.argmax(goes_on)) if goes_on.any() else len(kept)
-        brakes = self._find_clear_endings(motions[kept[:before]], kinds[1:], last)
+        brakes = self._find_clear_endings(motions[kept[:before]], kinds[1:], last, are_allowed)
         if brakes.any():
             row = int(np.argmax(brakes.any(axis=1)))
             chosen, (first, braking) = int(kept[row]), kinds[1 + int(np.argmax(brakes[row]))]
@@ -151,7 +168,13 @@ class SurroundingTracks:
             return None
         return chosen, brake_on_path(motions[chosen], first, self.frame_seconds, braking)
 
-    def _find_clear_endings(self, motions: Floats, kinds: Sequence[tuple[int, float]], last: int) -> Bools:
+    def _find_clear_endings(
+        self,
+        motions: Floats,
+        kinds: Sequence[tuple[int, float]],
+        last: int,
+        are_allowed: Callable[[Floats], Bools] | None,
+    ) -> Bools:
         """(N, E) which endings of (N, F, 3) motions touch nobody from the frame ``last`` on."""
         clear = np.ones((len(motions), len(kinds)), np.bool_)
         count = len(self.frame_seconds)
@@ -164,6 +187,8 @@ class SurroundingTracks:
                 for end in ends:
                     alive = alive[self._find_clear(columns[:, alive, :end], last)]
                     last = end - 1
+                if are_allowed is not None:
+                    alive = alive[are_allowed(columns[:, alive])]
                 clear[:] = False
                 clear[row[alive], kind[alive]] = True
             if ends[-1] == count:
@@ -183,7 +208,7 @@ class SurroundingTracks:
         motion, other = np.repeat(motion, _CHUNK), np.repeat(other, _CHUNK)
         there = (row < count) & self.present[np.minimum(row, count - 1), other]
         motion, row, other = motion[there], row[there], other[there]
-        between = _Between.of(known, self.seconds[:count])
+        between = InstantsBetween.of(known, self.seconds[:count])
         x, y = (between.at(axis, motion, row) for axis in columns[:2])
         away_x, away_y = self.boxes[row, other, 0] - x, self.boxes[row, other, 1] - y
         near = away_x**2 + away_y**2 <= (self._reach_of_both[other]) ** 2
@@ -228,91 +253,11 @@ class SurroundingTracks:
         return max(motions, key=self.compute_clear_seconds)
 
 
-def brake_on_path(poses: Floats, first: int, seconds: Floats, braking_m_s2: float) -> Floats:
-    """(K, 3) poses of a motion that is braked on its own path from some frame on; 0 m/s^2 keeps its speed.
-
-    ``seconds`` are (K,) of the frames; those beyond the F are reached on the last heading.
-    """
-    count = len(seconds)
-    path = poses[: min(len(poses), count)]
-    steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
-    station = np.concatenate([[0.0], np.cumsum(steps)])
-    before = max(first - 1, 0)
-    after = min(before + 1, len(path) - 1)
-    span = float(seconds[after] - seconds[before]) if after > before else 1.0
-    speed = float(station[after] - station[before]) / span
-    time = seconds[first:] - seconds[first]
-    if braking_m_s2 > 0.0:
-        time = np.minimum(time, speed / braking_m_s2)
-    goal = station[min(first, len(path) - 1)] + speed * time - 0.5 * braking_m_s2 * time**2
-    yaw = np.unwrap(path[:, 2])
-    beyond = np.maximum(goal - station[-1], 0.0)
-    ahead = np.array([np.cos(path[-1, 2]), np.sin(path[-1, 2])])
-    # While it stood, two stations coincide and the path between them has no length; none is needed.
-    place = np.column_stack([np.interp(goal, station, path[:, axis]) for axis in range(2)]) + beyond[:, None] * ahead
-    turned = wrap_angle(np.interp(goal, station, yaw))
-    return np.concatenate([path[:first], np.column_stack([place, turned])])
-
-
-def brake_on_paths(
-    motions: Floats, row: Integers, kinds: Sequence[tuple[int, float]], seconds: Floats, frames: int
-) -> Floats:
-    """(3, P, frames) `brake_on_path` of (N, F, 3) motions, the same to the last bit: x, y, yaw of the first frames.
-
-    ``row`` (P,), not falling, is the motion of each, ``kinds`` from which frame on it brakes, and how hard.
-    """
-    path = motions[:, : len(seconds)]
-    steps = np.hypot(np.diff(path[..., 0], axis=1), np.diff(path[..., 1], axis=1))
-    station = np.concatenate([np.zeros((len(path), 1)), np.cumsum(steps, axis=1)], axis=1)
-    first, braking = np.array([kind[0] for kind in kinds]), np.array([kind[1] for kind in kinds])[:, None]
-    before = np.maximum(first - 1, 0)
-    after = np.minimum(before + 1, path.shape[1] - 1)
-    span = np.where(after > before, seconds[after] - seconds[before], 1.0)
-    speed = ((station[row, after] - station[row, before]) / span)[:, None]
-    stop = np.divide(speed, braking, out=np.full_like(speed, np.inf), where=braking > 0.0)
-    time = np.minimum(seconds[:frames] - seconds[first][:, None], stop)
-    goal = station[row, np.minimum(first, path.shape[1] - 1)][:, None] + speed * time - 0.5 * braking * time**2
-    columns = np.empty((3, *goal.shape))
-    yaw = np.unwrap(path[..., 2], axis=1)
-    cuts = np.searchsorted(row, np.arange(len(path) + 1))
-    for at, (start, end) in enumerate(zip(cuts, cuts[1:])):
-        for axis, known in enumerate((path[at, :, 0], path[at, :, 1], yaw[at])):
-            columns[axis, start:end] = np.interp(goal[start:end], station[at], known)
-    beyond = np.maximum(goal - station[row, -1:], 0.0)
-    for axis, ahead in enumerate((np.cos(path[:, -1, 2]), np.sin(path[:, -1, 2]))):
-        columns[axis] += beyond * ahead[row][:, None]
-    columns[2] = wrap_angle(columns[2])
-    kept = min(path.shape[1], frames)
-    as_planned = np.arange(kept) < first[:, None]
-    for axis in range(3):
-        np.copyto(columns[axis, :, :kept], path[row, :kept, axis], where=as_planned)
-    return columns
-
-
-@dataclass(frozen=True, slots=True)
-class _Between:
-    """Places of (I,) instants among (K,) frames: linear, as by `numpy.interp`, the same to the last bit."""
-
-    frame: Integers
-    after: Integers
-    width: Floats
-    past: Floats
-    on_frame: Bools
-
-    @classmethod
-    def of(cls, known: Floats, wanted: Floats) -> Self:
-        """Instants among frames, both in seconds."""
-        frame = np.clip(np.searchsorted(known, wanted, side="right") - 1, 0, len(known) - 1)
-        after = np.minimum(frame + 1, len(known) - 1)
-        width = np.where(after > frame, known[after] - known[frame], 1.0)
-        return cls(frame, after, width, wanted - known[frame], (known[frame] == wanted) | (after == frame))
-
-    def at(self, rows: Floats, row: Integers, instant: Integers) -> Floats:
-        """(L,) values of (P, K) rows, each of its row at its instant."""
-        here = rows[row, self.frame[instant]]
-        later = rows[row, self.after[instant]]
-        between = (later - here) / self.width[instant] * self.past[instant] + here
-        return np.asarray(np.where(self.on_frame[instant], here, between))
+def _bound(boxes: Floats, present: Bools) -> tuple[Floats, Floats]:
+    """(C, N, 2) lowest and highest centres of (R, N, 5) boxes within runs of instants."""
+    begins = np.arange(0, len(boxes), _CHUNK)
+    low = np.minimum.reduceat(np.where(present[..., None], boxes[..., :2], np.inf), begins, axis=0)
+    return low, np.maximum.reduceat(np.where(present[..., None], boxes[..., :2], -np.inf), begins, axis=0)
 
 
 def order_candidates(scores: Floats, most: int) -> Iterator[tuple[int, int]]:

@@ -1,0 +1,95 @@
+"""Rules that an adversary keeps who knows motion only: it stays on the road, and is only where a careful human copes.
+
+Such an adversary meets egos in other simulators, of which nothing else is known. A plan and its ending keep all corners
+of its body on the road. It may come into the ego's way only where a careful human in the ego's place, with the ego's
+speed, touches nobody from the planning frame on: neither it, nor another because of it. Where no motion is like that it
+keeps clear of the ego as expected, as long as it can.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final, Self
+
+import numpy as np
+
+from benchmark.dynamics.bicycle import SimulatedMotion
+from benchmark.geometry import Bools, Floats, box_corners
+from benchmark.interactions.tracks import ContinuousTracks
+from benchmark.road_map import DrivableRaster
+from benchmark.scene import Scene
+from generation.extensions.reactive_adversary.careful_driver import CarefulDriverCheck
+from generation.extensions.reactive_adversary.safe_endings import SurroundingTracks
+
+_CELL_M: Final = 0.25
+_AROUND_M: Final = 40.0
+_MOST_M: Final = 250.0
+"""Half the side of the square of the road that is known."""
+_EVERY_FRAMES: Final = 3
+
+
+def rasterise_road(scene: Scene) -> DrivableRaster:
+    """The road around all that moves in a scene."""
+    known = scene.agents.position[scene.agents.valid][:, :2]
+    places = np.concatenate([known, scene.ego.position[:1, :2]])
+    low, high = places.min(axis=0), places.max(axis=0)
+    half = min(0.5 * float((high - low).max()) + _AROUND_M, _MOST_M)
+    middle = 0.5 * (low + high) if half < _MOST_M else scene.ego.position[0, :2]
+    return DrivableRaster.around(
+        scene.road_map, np.array([*middle, 0.0]), half_extent_m=round(half), resolution_m=_CELL_M
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class AdversaryRules:
+    """The rules at a planning frame, of a body of (2,) ``size``; ``road`` is ``None`` while it is off the road."""
+
+    road: DrivableRaster | None
+    careful: CarefulDriverCheck
+    size: Floats
+
+    @classmethod
+    def of(cls, scene: Scene, road: DrivableRaster, careful: CarefulDriverCheck, agent: int, now: Floats) -> Self:
+        """Rules for an adversary at a (3,) pose; one that is off the road may return to it, however."""
+        known = cls(road, careful, scene.agents.size[agent, :2])
+        return known if known.are_on_road(now[:, None, None])[0] else replace(known, road=None)
+
+    def are_on_road(self, columns: Floats) -> Bools:
+        """(P,) whether all corners stay on the road; (3, P, K) x, y, yaw, looked at every 0.25 s and at the end."""
+        if self.road is None:
+            return np.ones(columns.shape[1], np.bool_)
+        frames = np.unique([*range(0, columns.shape[2], _EVERY_FRAMES), columns.shape[2] - 1])
+        x, y, yaw = columns[:, :, frames]
+        size = np.broadcast_to(self.size, (*x.shape, 2))
+        corners = box_corners(np.concatenate([x[..., None], y[..., None], size, yaw[..., None]], axis=-1))
+        return np.asarray(self.road.look_up(corners).all(axis=(1, 2)))
+
+    def are_fair(self, center: Floats) -> Bools:
+        """(N,) whether a careful human touches nobody, or the ego never meets it; (N, F, 3) poses from now on."""
+        count = len(center)
+        motion = SimulatedMotion(center, np.zeros((count, 0, 6)), np.zeros((count, 0, 2)), np.ones(count, np.bool_))
+        placed = self.careful.place(motion, self.size)
+        fair = ~self.careful.hits(placed)
+        if self.careful.lost:
+            # Others hit the human in any case: then it may not be met at all.
+            fair &= ~self.careful.is_met(placed, in_front=False)
+        return np.asarray(fair)
+
+    def choose(self, scene: Scene, around: SurroundingTracks, frame: int, options: Sequence[Floats]) -> Floats:
+        """The first of some motions, (K + 1, 3) to the last frame, that keeps all rules, else the clearest one."""
+        columns = np.stack(options).transpose(2, 0, 1)
+        free = np.array([around.compute_clear_seconds(each) == np.inf for each in options])
+        on_road = self.are_on_road(columns)
+        for allowed in (free & on_road, free):
+            kept = np.flatnonzero(allowed & self.are_fair(np.stack(options)))
+            if len(kept):
+                return options[int(kept[0])]
+        rest = np.flatnonzero(free & on_road) if (free & on_road).any() else np.flatnonzero(free)
+        among = [options[int(row)] for row in rest] or list(options)
+        return include_ego(around, scene, frame).find_longest(among)
+
+
+def include_ego(around: SurroundingTracks, scene: Scene, frame: int) -> SurroundingTracks:
+    """The surroundings with the ego, as the scene has it, among them; those who are in its body now are no measure."""
+    times = np.minimum(around.seconds + float(scene.seconds[frame]), float(scene.seconds[-1]))
+    boxes = ContinuousTracks.of_scene(scene).ego_at(times)
+    return around.extend(boxes)
