@@ -6,8 +6,7 @@ can then end without touching any but the ego, to the scene's last frame (`safe_
 driven where nothing better is found.
 """
 
-import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -23,6 +22,7 @@ from benchmark.machine.storage import content_seed
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.extensions.reactive_adversary.braking import brake_on_path
+from generation.extensions.reactive_adversary.candidate_choice import find_drivable, list_allowed
 from generation.extensions.reactive_adversary.careful_driver import (
     CarefulDriverCheck,
     ReactivePlanning,
@@ -31,13 +31,12 @@ from generation.extensions.reactive_adversary.careful_driver import (
     get_careful_driver_check,
 )
 from generation.extensions.reactive_adversary.ego_prediction import EgoObservations, predict_ego
-from generation.extensions.reactive_adversary.rules import AdversaryRules, rasterise_road
+from generation.extensions.reactive_adversary.rules import AdversaryRules, include_ego, rasterise_road
 from generation.extensions.reactive_adversary.safe_endings import (
     AHEAD_FRAMES,
     BRAKING_M_S2,
     ExpectedAgents,
     SurroundingTracks,
-    order_candidates,
     predict_others,
 )
 from generation.extensions.reactive_adversary.search_trace import build_search_trace
@@ -48,9 +47,6 @@ from generation.search.proposals import Diversify, Prior, run_searches
 from generation.search.recorded_motion import compute_initial_state
 from generation.search.refinement import Refinement, ResamplingUnderflowError, compare_scores
 
-MOST_CANDIDATES_CHECKED: Final = 96
-"""Candidates that are asked after the best one of a search, where that may not be driven."""
-_TOGETHER: Final = (8, 24, MOST_CANDIDATES_CHECKED)
 _NO_SCRIPT: Final = (EgoPrediction.RECORDING, EgoPrediction.MOTION_ONLY)
 _FAR_M: Final = 5.0
 """Nearer than this to the edge of the area around the ego, an adversary looks at the road around itself."""
@@ -307,21 +303,21 @@ class ReactiveAdversary:
         """The best candidate that may be driven, or the brakes."""
         # An adversary that is already off the road may return to it, however.
         on_road = bool(scene.road_map.is_drivable(memory.track[-1, :2]))
-        allowed = iter(() if refinement is None else self._list_allowed(refinement, steps, on_road=on_road))
-        # Mostly the first may be driven; the others are looked at together, more and more at a time.
-        for most in (1, *_TOGETHER):
-            some = [*itertools.islice(allowed, most)]
-            if refinement is None or not some:
-                break
-            batches = refinement.batches
-            motions = np.stack([batches[number].evaluated.motion.center[index] for number, index in some])
-            if rules is not None:
-                fair = np.flatnonzero(rules.are_fair(motions))
-                some, motions = [some[row] for row in fair], motions[fair]
-            found = around.find_ending(motions, steps, None if rules is None else rules.are_on_road)
+        candidates = [] if refinement is None else list_allowed(refinement, self.settings.hyper, steps, on_road=on_road)
+        cached_ending = np.concatenate([memory.track[-1:], memory.ending])
+        options = [*self._compute_brakings((0.0, *BRAKING_M_S2), around, memory), cached_ending]
+        # Whoever has rules leaves the road rather than hit an ego whom no careful human could save.
+        for keeps_to_road in (True,) if rules is None else (True, False):
+            found = find_drivable(candidates, refinement, around, steps, rules, keeps_to_road=keeps_to_road)
             if found is not None:
-                return self._build_searched_motion(frame, steps, refinement, *some[found[0]], found[1])
-        return self._brake_on_path(scene, around, frame, steps, memory, rules)
+                assert refinement is not None
+                return self._build_searched_motion(frame, steps, refinement, *found)
+            kept = None if rules is None else rules.find_kept(around, options, keeps_to_road=keeps_to_road)
+            if kept is not None:
+                return self._build_braked_motion(frame, steps, kept)
+        # Brakes on the meant path, as gently as touches no other; or the ending that was kept; or the longest one.
+        surrounding = around if rules is None else include_ego(around, scene, frame)
+        return self._build_braked_motion(frame, steps, surrounding.find_longest(options))
 
     def _build_searched_motion(
         self, frame: int, steps: int, refinement: Refinement, number: int, index: int, ending: Floats
@@ -338,15 +334,6 @@ class ReactiveAdversary:
             picked=(number, index),
         )
 
-    def _list_allowed(self, refinement: Refinement, steps: int, *, on_road: bool) -> Iterator[tuple[int, int]]:
-        """Round and index: what the search chose, then the others by score, but those that would leave the road."""
-        scores = compare_scores(refinement.batches, self.settings.hyper)
-        others = order_candidates(scores, MOST_CANDIDATES_CHECKED)
-        for number, index in itertools.chain([(refinement.round, refinement.chosen)], others):
-            motion = refinement.batches[number].evaluated.motion
-            if motion.finite[index] and not (on_road and _is_leaving_road(refinement, number, index, steps)):
-                yield number, index
-
     def _build_replanning(
         self, scene: Scene, frame: int, state: VehicleState, refinement: Refinement | None, chosen: _ChosenMotion
     ) -> Replanning:
@@ -358,21 +345,6 @@ class ReactiveAdversary:
             scene, self.agent, frame, state, refinement, picked, hyper, self.model, as_made=chosen.on_scripted_track
         )
         return replace(chosen.replanning, considered=considered)
-
-    def _brake_on_path(
-        self,
-        scene: Scene,
-        around: SurroundingTracks,
-        frame: int,
-        steps: int,
-        memory: AdversaryMemory,
-        rules: AdversaryRules | None,
-    ) -> _ChosenMotion:
-        """Brakes on the meant path, as gently as touches no other; or the ending that was kept; or the longest one."""
-        cached_ending = np.concatenate([memory.track[-1:], memory.ending])
-        options = [*self._compute_brakings((0.0, *BRAKING_M_S2), around, memory), cached_ending]
-        poses = around.find_longest(options) if rules is None else rules.choose(scene, around, frame, options)
-        return self._build_braked_motion(frame, steps, poses)
 
     def _compute_brakings(
         self, brakings: Sequence[float], around: SurroundingTracks, memory: AdversaryMemory
@@ -407,8 +379,3 @@ def _compute_ahead(poses: Floats, steps: int) -> Floats:
     rest = poses[steps + 1 : steps + 1 + AHEAD_FRAMES]
     missing = AHEAD_FRAMES - len(rest)
     return np.concatenate([rest, np.repeat(poses[-1:], missing, axis=0)]) if missing else rest
-
-
-def _is_leaving_road(refinement: Refinement, number: int, index: int, steps: int) -> bool:
-    """Whether a candidate's centre is off the road in what would be executed."""
-    return bool(refinement.batches[number].evaluated.terms.center_off_road[index, :steps].any())

@@ -74,18 +74,14 @@ class AdversaryRules:
             fair &= ~self.careful.is_met(placed, in_front=False)
         return np.asarray(fair)
 
-    def choose(self, scene: Scene, around: SurroundingTracks, frame: int, options: Sequence[Floats]) -> Floats:
-        """The first of some motions, (K + 1, 3) to the last frame, that keeps all rules, else the clearest one."""
-        columns = np.stack(options).transpose(2, 0, 1)
-        free = np.array([around.compute_clear_seconds(each) == np.inf for each in options])
-        on_road = self.are_on_road(columns)
-        for allowed in (free & on_road, free):
-            kept = np.flatnonzero(allowed & self.are_fair(np.stack(options)))
-            if len(kept):
-                return options[int(kept[0])]
-        rest = np.flatnonzero(free & on_road) if (free & on_road).any() else np.flatnonzero(free)
-        among = [options[int(row)] for row in rest] or list(options)
-        return include_ego(around, scene, frame).find_longest(among)
+    def find_kept(self, around: SurroundingTracks, options: Sequence[Floats], *, keeps_to_road: bool) -> Floats | None:
+        """The first of some motions, (K + 1, 3) to the last frame, that touches no other and keeps the rules."""
+        poses = np.stack(options)
+        kept = np.array([around.compute_clear_seconds(each) == np.inf for each in options])
+        if keeps_to_road:
+            kept &= self.are_on_road(poses.transpose(2, 0, 1))
+        kept &= self.are_fair(poses)
+        return options[int(np.argmax(kept))] if kept.any() else None
 
 
 def include_ego(around: SurroundingTracks, scene: Scene, frame: int) -> SurroundingTracks:

@@ -260,17 +260,6 @@ def _bound(boxes: Floats, present: Bools) -> tuple[Floats, Floats]:
     return low, np.maximum.reduceat(np.where(present[..., None], boxes[..., :2], -np.inf), begins, axis=0)
 
 
-def order_candidates(scores: Floats, most: int) -> Iterator[tuple[int, int]]:
-    """Round and index of at most ``most`` finite (R, B) scores: lowest first, and as many from all over the rest."""
-    flat = scores.ravel()
-    order: Integers = np.argsort(flat, kind="stable")
-    order = order[np.isfinite(flat[order])]
-    # The best candidates are alike: an obstacle to one of them stops the others, too.
-    spread = np.unique(np.linspace(0, max(len(order) - 1, 0), most - most // 2).astype(np.int64))
-    for place in order[np.union1d(np.arange(min(most // 2, len(order))), spread[: len(order)])].tolist():
-        yield divmod(place, scores.shape[1])
-
-
 @dataclass(frozen=True, slots=True)
 class ExpectedAgents:
     """All others, who answer adversary and ego; ``own`` are the adversary's (F, 3) poses from the hand-over on."""

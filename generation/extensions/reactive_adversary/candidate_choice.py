@@ -1,0 +1,71 @@
+"""Which candidate of a search is driven: the best that stays on the road and can end without touching another."""
+
+import itertools
+from collections.abc import Iterable, Iterator
+from typing import Final
+
+import numpy as np
+
+from benchmark.geometry import Floats
+from benchmark.interactions.tracks import Integers
+from generation.extensions.reactive_adversary.rules import AdversaryRules
+from generation.extensions.reactive_adversary.safe_endings import SurroundingTracks
+from generation.search.hyperparameters import HyperParameters
+from generation.search.refinement import Refinement, compare_scores
+
+MOST_CANDIDATES_CHECKED: Final = 96
+"""Candidates that are asked after the best one of a search, where that may not be driven."""
+_TOGETHER: Final = (1, 8, 24, MOST_CANDIDATES_CHECKED)
+"""Mostly the first may be driven; the others are looked at together, more and more at a time."""
+
+
+def list_allowed(refinement: Refinement, hyper: HyperParameters, steps: int, *, on_road: bool) -> list[tuple[int, int]]:
+    """Round and index: what the search chose, then the others by score, but those that leave the road if ``on_road``.
+
+    That is asked of what would be executed, so many ``steps``.
+    """
+    others = order_candidates(compare_scores(refinement.batches, hyper), MOST_CANDIDATES_CHECKED)
+    allowed = []
+    for number, index in itertools.chain([(refinement.round, refinement.chosen)], others):
+        found = refinement.batches[number].evaluated
+        leaving = on_road and bool(found.terms.center_off_road[index, :steps].any())
+        if found.motion.finite[index] and not leaving:
+            allowed.append((number, index))
+    return allowed
+
+
+def find_drivable(
+    candidates: Iterable[tuple[int, int]],
+    refinement: Refinement | None,
+    around: SurroundingTracks,
+    steps: int,
+    rules: AdversaryRules | None,
+    *,
+    keeps_to_road: bool,
+) -> tuple[int, int, Floats] | None:
+    """The first candidate that has an ending, by round and index, and that ending; ``None`` where none has."""
+    asked = iter(candidates)
+    for most in _TOGETHER:
+        some = [*itertools.islice(asked, most)]
+        if refinement is None or not some:
+            break
+        batches = refinement.batches
+        motions = np.stack([batches[number].evaluated.motion.center[index] for number, index in some])
+        if rules is not None:
+            fair = np.flatnonzero(rules.are_fair(motions))
+            some, motions = [some[row] for row in fair], motions[fair]
+        found = around.find_ending(motions, steps, rules.are_on_road if rules is not None and keeps_to_road else None)
+        if found is not None:
+            return (*some[found[0]], found[1])
+    return None
+
+
+def order_candidates(scores: Floats, most: int) -> Iterator[tuple[int, int]]:
+    """Round and index of at most ``most`` finite (R, B) scores: lowest first, and as many from all over the rest."""
+    flat = scores.ravel()
+    order: Integers = np.argsort(flat, kind="stable")
+    order = order[np.isfinite(flat[order])]
+    # The best candidates are alike: an obstacle to one of them stops the others, too.
+    spread = np.unique(np.linspace(0, max(len(order) - 1, 0), most - most // 2).astype(np.int64))
+    for place in order[np.union1d(np.arange(min(most // 2, len(order))), spread[: len(order)])].tolist():
+        yield divmod(place, scores.shape[1])
