@@ -31,7 +31,7 @@ from generation.extensions.reactive_adversary.careful_driver import (
     get_careful_driver_check,
 )
 from generation.extensions.reactive_adversary.ego_prediction import EgoObservations, predict_ego
-from generation.extensions.reactive_adversary.rules import AdversaryRules, include_ego, rasterise_road
+from generation.extensions.reactive_adversary.rules import AdversaryRules, rasterise_road
 from generation.extensions.reactive_adversary.safe_endings import (
     AHEAD_FRAMES,
     BRAKING_M_S2,
@@ -315,9 +315,10 @@ class ReactiveAdversary:
             kept = None if rules is None else rules.find_kept(around, options, keeps_to_road=keeps_to_road)
             if kept is not None:
                 return self._build_braked_motion(frame, steps, kept)
+        if rules is not None:
+            return self._build_braked_motion(frame, steps, rules.find_clearest(around, scene, frame, options))
         # Brakes on the meant path, as gently as touches no other; or the ending that was kept; or the longest one.
-        surrounding = around if rules is None else include_ego(around, scene, frame)
-        return self._build_braked_motion(frame, steps, surrounding.find_longest(options))
+        return self._build_braked_motion(frame, steps, around.find_longest(options))
 
     def _build_searched_motion(
         self, frame: int, steps: int, refinement: Refinement, number: int, index: int, ending: Floats

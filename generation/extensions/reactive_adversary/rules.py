@@ -83,6 +83,13 @@ class AdversaryRules:
         kept &= self.are_fair(poses)
         return options[int(np.argmax(kept))] if kept.any() else None
 
+    def find_clearest(self, around: SurroundingTracks, scene: Scene, frame: int, options: Sequence[Floats]) -> Floats:
+        """Of those that touch no other, if any, the one that keeps clear of the ego longest, on the road if it can."""
+        free = [each for each in options if around.compute_clear_seconds(each) == np.inf] or [*options]
+        on_road = self.are_on_road(np.stack(free).transpose(2, 0, 1))
+        order = np.argsort(~on_road, kind="stable").tolist()
+        return include_ego(around, scene, frame).find_longest(free[row] for row in order)
+
 
 def include_ego(around: SurroundingTracks, scene: Scene, frame: int) -> SurroundingTracks:
     """The surroundings with the ego, as the scene has it, among them; those who are in its body now are no measure."""

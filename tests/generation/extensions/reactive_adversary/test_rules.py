@@ -95,7 +95,7 @@ def test_where_no_motion_is_fair_it_keeps_clear_of_the_ego(monkeypatch: pytest.M
     """A faster car in the next lane: it may go on, and then never meets the ego, or brake, and is never met either."""
     monkeypatch.setattr(AdversaryRules, "are_fair", lambda _, center: np.zeros(len(center), np.bool_))
     scene = road(Car(62.0, 194.75, 9.0), Car(30.0, 205.25, 5.0), seconds=9.0)
-    track, boxes, _ = loop(scene, policy_of(scene, MOTION_ONLY))
+    track, _, _ = loop(scene, policy_of(scene, MOTION_ONLY))
     assert all(each.braked for each in track.replanned) and len(track.replanned) >= 5
     ego = scene.ego.boxes[track.start : track.start + len(track.poses)]
     size = np.broadcast_to(scene.agents.size[0, :2], (len(track.poses), 2))
