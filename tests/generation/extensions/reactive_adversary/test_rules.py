@@ -60,7 +60,7 @@ def test_an_ending_is_found_that_stays_on_the_road() -> None:
 def test_who_hits_a_careful_human_is_not_fair_and_whom_others_hit_may_not_be_met() -> None:
     scene = road(Car(90.0, 198.25, 8.0), seconds=9.0)
     front = float(scene.ego.boxes[FRAME, 0]) + 2.0
-    shut, ahead, beside = (drive(front + 4.0, 198.25, 0.5), drive(front + 35.0, 198.25, 3.0), drive(front, 201.75, 8.0))
+    shut, ahead, beside = (drive(front + 4.0, 198.25, 0.5), drive(front + 25.0, 198.25, 3.0), drive(front, 201.75, 8.0))
     rules = rules_of(scene, ahead[0])
     motions = np.stack([shut, ahead, beside])
     assert rules.are_fair(motions).tolist() == [False, True, True]
