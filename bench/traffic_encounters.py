@@ -2,7 +2,7 @@
 
 Recordings of the newest frozen split of the embedded town, seeds and two egos, each driven three times: among replayed
 traffic, against the served adversary without a map, and against the adversary in process, which knows motion only too
-but has the map. A careful human drives both encounters as well. ``--seeds 50`` are 1,000 encounters;
+but has the map. A careful human drives both encounters as well. ``--seeds 17`` are 1,000 encounters;
 ``--no-socket`` hands the same bytes to the service without a network between.
 """
 
@@ -18,7 +18,7 @@ import numpy as np
 import benchmark
 from adapters.registry import build_planner
 from benchmark.api.serving import TRAFFIC_BUDGETS
-from benchmark.closed_loop.adversary import AdversaryTrack
+from benchmark.closed_loop.adversary import AdversaryTrack, ScriptedTracks
 from benchmark.closed_loop.default_engine import DefaultBackend
 from benchmark.closed_loop.episodes import Episode, EpisodeSpec, run_episode
 from benchmark.closed_loop.observation_builder import NoSensor
@@ -41,7 +41,11 @@ EGOS = ("constant-velocity-on-path", "idm")
 
 @dataclass(frozen=True)
 class Encounter:
-    """One drive: who was hit by whom, whether the careful human survives, where the adversary was."""
+    """One drive: who was hit by whom, whether the careful human survives, where the adversary was.
+
+    ``fair`` is of those in which the adversary was touched: whether a careful human in the ego's place, from the same
+    instant, touches nobody on the same tracks.
+    """
 
     scene: str
     seed: int
@@ -49,6 +53,7 @@ class Encounter:
     traffic: str
     hit: bool
     by_adversary: bool
+    fair: bool | None
     survives: bool | None
     careful_hit_by: str
     off_road: int
@@ -77,6 +82,10 @@ def drive(data: Any, scene: Scene, seed: int, ego: str, traffic: str, backend: D
         hit_by = "" if survives else "adversary" if outcome.agent == own and traffic != "replay" else "another"
     hit = episode.touch is not None
     by = hit and track is not None and episode.touch is not None and episode.touch.agent == track.agent
+    fair = None
+    if by and track is not None:
+        again = DefaultBackend("adversary", adversary=ScriptedTracks({(scene.name, seed): track}, "replay"))
+        fair = simulate_reference_drivers(scene, again.course(scene, seed), [Driver.CC])[Driver.CC].survives
     return Encounter(
         scene.name,
         seed,
@@ -84,6 +93,7 @@ def drive(data: Any, scene: Scene, seed: int, ego: str, traffic: str, backend: D
         traffic,
         hit,
         by,
+        fair,
         survives,
         hit_by,
         *count_off_road(scene, track),
@@ -131,6 +141,7 @@ def summarise(encounters: list[Encounter]) -> dict[str, Any]:
             "encounters": len(own),
             "hits": {ego: sum(each.hit for each in own if each.ego == ego) for ego in EGOS},
             "by the adversary": sum(each.by_adversary for each in own),
+            "of them fair": sum(bool(each.fair) for each in own),
             "careful survives": f"{sum(careful)}/{len(careful)}",
             "careful hit by the adversary": sum(each.careful_hit_by == "adversary" for each in own),
             "off road %": round(100.0 * off / poses, 2) if poses else None,
@@ -143,6 +154,7 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--limit", type=int, default=None)
     parser.add_argument("--budget", type=float, default=1e9, help="seconds after which no scene is begun")
+    parser.add_argument("--data", default="mini@2", help="whose recordings: the newest frozen split's by default")
     parser.add_argument("--search", choices=[*TRAFFIC_BUDGETS], default="quick")
     parser.add_argument("--no-socket", action="store_true")
     given = parser.parse_args()
@@ -151,7 +163,7 @@ def main() -> int:
     worlds: list[SessionWorld] = []
 
     server = make_traffic_server(maker, "127.0.0.1", 0, agents="adversary", seed=0)
-    data, encounters, begun = benchmark.open_data("mini"), list[Encounter](), time.monotonic()
+    data, encounters, begun = benchmark.open_data(given.data), list[Encounter](), time.monotonic()
     with server:
         remote: Any = Directly(TrafficService(TrafficSettings("adversary", maker), worlds.append))
         if not given.no_socket:

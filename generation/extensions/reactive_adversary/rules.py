@@ -25,6 +25,8 @@ _AROUND_M: Final = 40.0
 _MOST_M: Final = 250.0
 """Half the side of the square of the road that is known."""
 _EVERY_FRAMES: Final = 3
+RETURN_FRAMES: Final = 36
+"""Until a body that is off the road is to be on it again: 3 s."""
 
 
 def rasterise_road(scene: Scene) -> DrivableRaster:
@@ -41,23 +43,25 @@ def rasterise_road(scene: Scene) -> DrivableRaster:
 
 @dataclass(frozen=True, slots=True)
 class AdversaryRules:
-    """The rules at a planning frame, of a body of (2,) ``size``; ``road`` is ``None`` while it is off the road."""
+    """The rules at a planning frame, of a body of (2,) ``size``, which is to be on the road from some frame on."""
 
-    road: DrivableRaster | None
+    road: DrivableRaster
+    from_frame: int
     careful: CarefulDriverCheck
     size: Floats
 
     @classmethod
     def of(cls, scene: Scene, road: DrivableRaster, careful: CarefulDriverCheck, agent: int, now: Floats) -> Self:
-        """Rules for an adversary at a (3,) pose; one that is off the road may return to it, however."""
-        known = cls(road, careful, scene.agents.size[agent, :2])
-        return known if known.are_on_road(now[:, None, None])[0] else replace(known, road=None)
+        """Rules for an adversary at a (3,) pose; one that is off the road has some time to return to it."""
+        known = cls(road, 0, careful, scene.agents.size[agent, :2])
+        return known if known.are_on_road(now[:, None, None])[0] else replace(known, from_frame=RETURN_FRAMES)
 
     def are_on_road(self, columns: Floats) -> Bools:
         """(P,) whether all corners stay on the road; (3, P, K) x, y, yaw, looked at every 0.25 s and at the end."""
-        if self.road is None:
+        last = columns.shape[2] - 1
+        if last < self.from_frame:
             return np.ones(columns.shape[1], np.bool_)
-        frames = np.unique([*range(0, columns.shape[2], _EVERY_FRAMES), columns.shape[2] - 1])
+        frames = np.unique([*range(self.from_frame, last + 1, _EVERY_FRAMES), last])
         x, y, yaw = columns[:, :, frames]
         size = np.broadcast_to(self.size, (*x.shape, 2))
         corners = box_corners(np.concatenate([x[..., None], y[..., None], size, yaw[..., None]], axis=-1))
