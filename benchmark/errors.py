@@ -15,9 +15,10 @@ class InputError(Exception):
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Question on the closest three names at most, ``did you mean uniad or uniad-mini? ``; empty if none is close.
 
-    Capitals make no difference.
+    Capitals make no difference; of names that are equally close the first ones are taken.
     """
     spelled = {each.lower(): each for each in sorted(set(known))}
-    close = [spelled[match] for match in difflib.get_close_matches(name.lower(), sorted(spelled))]
+    ratios = {each: difflib.SequenceMatcher(None, each, name.lower()).ratio() for each in spelled}
+    close = [spelled[each] for each in sorted(spelled, key=ratios.__getitem__, reverse=True) if ratios[each] >= 0.6][:3]
     *others, last = close or [""]
     return f"did you mean {', '.join(others)}{' or ' if others else ''}{last}? " if last else ""

@@ -161,6 +161,14 @@ def as_multipolygon(shape: shapely.Geometry) -> MultiPolygon:
     return MultiPolygon(parts)
 
 
+def mend_polygon(shape: Polygon) -> Polygon:
+    """A polygon as it is where it is valid, else its largest valid part; empty if it has none."""
+    if shape.is_valid:
+        return shape
+    parts = as_multipolygon(shapely.make_valid(shape))
+    return max(parts.geoms, key=lambda part: part.area, default=Polygon())
+
+
 @dataclass(frozen=True, slots=True)
 class DrivableRaster:
     """The drivable area around a pose as a grid of booleans.

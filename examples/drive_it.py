@@ -30,7 +30,7 @@ drives = out / "drives"
 # %%
 settings = benchmark.TownSettings(val_scenes=2, images=False)
 town = benchmark.open_data(benchmark.build_town(out / "small-town", settings, workers=1))
-frozen = benchmark.frozen_split("mini-adv-3")
+frozen = benchmark.frozen_split("mini-adv-4")
 here = tuple(scene.name for scene in frozen.frozen.scenes if scene.source in town.scene_names("val"))
 built = benchmark.BuildSettings(out=out / "small-adv", scenes=here)
 benchmark.build_frozen(town, frozen, built)

@@ -43,11 +43,11 @@ for name in town.scene_names("val"):
 # %% [markdown]
 # ## Adversaries
 #
-# `mini-adv-3` comes with the package: for each scene, the track of one vehicle that a search made dangerous. It is
+# `mini-adv-4` comes with the package: for each scene, the track of one vehicle that a search made dangerous. It is
 # rebuilt here without a search, for the two scenes that this town has.
 
 # %%
-frozen = benchmark.frozen_split("mini-adv-3")
+frozen = benchmark.frozen_split("mini-adv-4")
 here = tuple(scene.name for scene in frozen.frozen.scenes if scene.source in town.scene_names("val"))
 built = benchmark.BuildSettings(out=out / "small-adv", scenes=here)
 benchmark.build_frozen(town, frozen, built)

@@ -35,7 +35,7 @@ runs = out / "runs"
 # %%
 settings = benchmark.TownSettings(val_scenes=2, images=False)
 town = benchmark.open_data(benchmark.build_town(out / "small-town", settings, workers=1))
-frozen = benchmark.frozen_split("mini-adv-3")
+frozen = benchmark.frozen_split("mini-adv-4")
 here = tuple(scene.name for scene in frozen.frozen.scenes if scene.source in town.scene_names("val"))
 built = benchmark.BuildSettings(out=out / "small-adv", scenes=here)
 benchmark.build_frozen(town, frozen, built)
@@ -50,19 +50,19 @@ adv = benchmark.open_data(out / "small-adv")
 
 
 # %%
-class SlowingDown:
-    """Straight ahead, slower and slower."""
+class SpeedingUp:
+    """Straight ahead, faster and faster."""
 
-    name = "slowing-down"
+    name = "speeding-up"
 
     def reset(self, scene: benchmark.SceneInfo) -> None:
         """Nothing to forget."""
 
     def plan(self, observation: benchmark.Observation) -> benchmark.Plan:
-        """Brake with 1 m/s^2."""
+        """Accelerate with 1 m/s^2."""
         speed = np.linalg.norm(observation.ego.velocity)
-        time = np.minimum(np.arange(1, 7) * 0.5, speed)
-        ahead = speed * time - 0.5 * time**2
+        time = np.arange(1, 7) * 0.5
+        ahead = speed * time + 0.5 * time**2
         return benchmark.Plan(np.column_stack([ahead, np.zeros(6)]), benchmark.PlanFrame.EGO)
 
 
@@ -75,7 +75,7 @@ class SlowingDown:
 # %%
 records = []
 for data, split in ((town, "val"), (adv, "adv")):
-    for planner in (SlowingDown(), benchmark.load_planner("constant-velocity"), benchmark.load_planner("idm")):
+    for planner in (SpeedingUp(), benchmark.load_planner("constant-velocity"), benchmark.load_planner("idm")):
         records.append(benchmark.evaluate(data, split, planner, runs))
 for table in benchmark.run_tables("small town", records):
     print(table.plain())
@@ -93,4 +93,4 @@ print(f"{mine.planner} on {mine.run.split}: {len(hit)} of {len(samples)} samples
 print(hit[["scene", "index", "speed_m_s"]].head().to_string(index=False))
 
 # %% [markdown]
-# The same from a shell, for a planner in a module: `challenger-bench eval --model my_planner:SlowingDown --split adv`.
+# The same from a shell, for a planner in a module: `challenger-bench eval --model my_planner:SpeedingUp --split adv`.

@@ -46,12 +46,12 @@ def test_a_first_look(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pyt
     assert set(left["here"]) == set(left["facts"]) and len(left["facts"]) == 3
     assert {fact.source for fact in left["facts"].values()} <= set(left["town"].scene_names("val"))
     assert (folder / "challenger-out" / "first-look.png").stat().st_size > 5_000
-    assert "tailgating, made from scene-8000" in capsys.readouterr().out
+    assert "cut-in-right, made from scene-8000" in capsys.readouterr().out
 
 
 def test_my_planner(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     left = run("my_planner", folder, monkeypatch)
-    assert [record.planner for record in left["records"]] == 2 * ["slowing-down", "constant-velocity", "idm"]
+    assert [record.planner for record in left["records"]] == 2 * ["speeding-up", "constant-velocity", "idm"]
     assert all(record.complete for record in left["records"])
     rate = left["mine"].summary.protocols["exact"].columns["collision"]["3s"]
     assert left["mine"].run.split == "adv" and 0 < len(left["hit"]) == rate.numerator

@@ -18,7 +18,7 @@ from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import read_json
-from benchmark.road_map import Divider, DividerKind, Lane, RoadMap, as_multipolygon
+from benchmark.road_map import Divider, DividerKind, Lane, RoadMap, as_multipolygon, mend_polygon
 from benchmark.untrusted.files import to_one_line
 
 CENTERLINE_STEP_M: Final = 1.0
@@ -154,11 +154,7 @@ class _ExpansionShapes:
         holes = [self._points(hole["node_tokens"]) for hole in row["holes"]]
         if len(exterior) < 3:
             return Polygon()
-        shape = Polygon(exterior, [hole for hole in holes if len(hole) >= 3])
-        if shape.is_valid:
-            return shape
-        parts = as_multipolygon(shapely.make_valid(shape))
-        return max(parts.geoms, key=lambda part: part.area, default=Polygon())
+        return mend_polygon(Polygon(exterior, [hole for hole in holes if len(hole) >= 3]))
 
     def _points(self, tokens: Sequence[str]) -> Floats:
         return np.array([self.nodes[token] for token in tokens], dtype=np.float64).reshape(-1, 2)

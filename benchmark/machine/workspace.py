@@ -20,7 +20,7 @@ GENERATED_SPLITS = ("val-r", "adv")
 EMBEDDED = "mini"
 DEMONSTRATED = "demo"
 """The small town, and the ``adv`` made from it, that ``challenger-bench demo`` leaves below ``--out``."""
-EMBEDDED_VERSION: Final = 1
+EMBEDDED_VERSION: Final = 2
 """Version of the town that ``mini`` names; `generation.sources.embedded` has all versions."""
 _EMBEDDED_NAME: Final = re.compile(rf"{EMBEDDED}(?:@(?P<version>[1-9]\d{{0,3}}))?")
 

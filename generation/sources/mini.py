@@ -8,7 +8,7 @@ from typing import Any, Final, Literal
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, lock_folder, read_cached_json, write_json
 from benchmark.machine.workers import LocalProcesses
-from benchmark.machine.workspace import is_finished
+from benchmark.machine.workspace import EMBEDDED_VERSION, is_finished
 from benchmark.records.driven_ego import DRIVEN
 from benchmark.records.drives import DriveRecord, find_drives
 from benchmark.records.off_path import OFF_PATH
@@ -56,7 +56,7 @@ class TownSettings:
             changes by it. ``asked``: each scene when it is looked at (`draw_town_scene`).
         crossing: Most pedestrians more who cross the way of the ego of a training scene when it comes.
         version: Of the town: 1 is ten packaged evaluation scenes of seed 0, 2 all that the town's code makes. ``None``:
-            1 where it has what is asked for.
+            that of ``mini`` where it has what is asked for.
     """
 
     val_scenes: int = FIRST_SCENES
@@ -81,7 +81,7 @@ class TownSettings:
                 f"version 1 of the town has {FIRST_SCENES} evaluation scenes of seed 0 and no training scenes; take "
                 "version 2"
             )
-        return has_all and self.version in (None, 1)
+        return has_all and (self.version or EMBEDDED_VERSION) == 1
 
     @property
     def _is_redrawn(self) -> bool:

@@ -26,22 +26,23 @@ from benchmark.geometry import Floats
 from benchmark.machine.storage import file_sha256
 from benchmark.machine.workspace import DEMONSTRATED, EMBEDDED
 from benchmark.planning import CameraView, Observation, SceneInfo
-from generation.sources.mini import TownSettings, build_town_data_set
+from generation.sources.mini import TownSettings, build_town_data_set, draw_town_scene
 from tests.whole_product import is_installed
 
 MOST_BYTES = 20_000_000
 MOST_PARAMETERS = 3_000_000
-ALSO_SAFER = {"vad-mini"}
-"""Whose plans collide clearly more often without their own images; plans of all are clearly farther off."""
 SAMPLES = 10
+SCENES = ("scene-8004", "scene-8005")
+"""The ego brakes in one and turns in the other, which its own motion alone does not tell."""
 
 
 @pytest.fixture(scope="module")
 def town(tmp_path_factory: pytest.TempPathFactory) -> NuScenesData:
-    """Two scenes of mini itself, without the frames between the key frames."""
-    root = build_town_data_set(
-        tmp_path_factory.mktemp("town"), TownSettings(val_scenes=2, frames="keyframes"), workers=1
-    )
+    """Scenes of mini itself; of `SCENES` there are images, without the frames between the key frames."""
+    settings = TownSettings(val_scenes=6, frames="keyframes", pictures="asked")
+    root = build_town_data_set(tmp_path_factory.mktemp("town"), settings, workers=1)
+    for name in SCENES:
+        draw_town_scene(root, name, sweeps=False)
     return NuScenesData.open(root)
 
 
@@ -53,7 +54,7 @@ def _no_imported_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
 
 def shown(data: NuScenesData, number: int, images: str) -> Iterator[Observation]:
     """Observations of a scene with its own images, grey ones, or what the same cameras saw in the other scene."""
-    own, other = (list(data.observations(data.scene_names("val")[place])) for place in (number, 1 - number))
+    own, other = (list(data.observations(SCENES[place])) for place in (number, 1 - number))
     for observation, elsewhere in zip(own, other, strict=True):
         views = {
             "own": observation.views,
@@ -70,8 +71,7 @@ def grey(view: CameraView) -> NDArray[np.uint8]:
 def plans(name: str, data: NuScenesData, images: str, samples: int = SAMPLES) -> tuple[Floats, Floats]:
     """Plans for the first samples of each scene, and what was driven, (S, 6, 2)."""
     driver, found, driven = build_planner(name), [], []
-    scenes = data.scene_names("val")
-    for number, scene_name in enumerate(scenes):
+    for number, scene_name in enumerate(SCENES):
         scene = data.scene(scene_name)
         driver.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))
         pairs = zip(shown(data, number, images), data.truth(scene_name), strict=True)
@@ -162,11 +162,7 @@ def test_facts_and_card_are_of_this_file(name: str) -> None:
     assert own["l2_3s_m"] < 0.9 * figures["constant-velocity"]["l2_3s_m"]
     assert own["collisions"] < figures["constant-velocity"]["collisions"]
     assert min(figures[other]["l2_3s_m"] for other in ("blank", "shuffled")) > 1.1 * own["l2_3s_m"]
-    clear = {
-        loss: all(lost[loss]["low"] > 0 for lost in (facts["lost"]["blank"], facts["lost"]["shuffled"]))
-        for loss in ("l2_3s_m", "collisions_pt")
-    }
-    assert clear == {"l2_3s_m": True, "collisions_pt": name in ALSO_SAFER}
+    assert facts["lost"]["shuffled"]["l2_3s_m"]["low"] > 0
     assert facts["parameters"] <= MOST_PARAMETERS
 
 

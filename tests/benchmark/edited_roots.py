@@ -17,7 +17,7 @@ Row = dict[str, Any]
 
 
 def small_town(root: Path, scenes: int = 1, *, images: bool = False) -> Path:
-    """Some scenes of the embedded town, all of them in ``val``; images are small and of keyframes."""
+    """Some scenes of the embedded town's first version, all of them in ``val``; images are small and of keyframes."""
     return Path(shutil.copytree(_built_town(root.name, scenes, images), root, dirs_exist_ok=True))
 
 
@@ -26,7 +26,7 @@ def _built_town(name: str, scenes: int, images: bool) -> Path:
     """A town that is copied wherever this process wants such a one."""
     folder = tempfile.mkdtemp(prefix="town-")
     atexit.register(shutil.rmtree, folder)
-    settings = TownSettings(val_scenes=scenes, images=images)
+    settings = TownSettings(val_scenes=scenes, images=images, version=1)
     if images:
         settings = replace(settings, width=96, height=54, frames="keyframes")
     return benchmark.build_town(Path(folder) / name, settings, workers=1)

@@ -129,7 +129,7 @@ def test_samples_are_enough_unless_somebody_asks_for_more(tmp_path: Path, monkey
     monkeypatch.setattr(mini, "build_town_data_set", noted)
     monkeypatch.setattr(mini, "TownSettings", TownSettings)
     for sweeps in (False, True):
-        api.open_data("mini", sweeps=sweeps)
+        api.open_data("mini@1", sweeps=sweeps)
         api.open_data("demo", out=tmp_path, sweeps=sweeps)
     (first, few), (later, all_of_it), (demo, its_own) = asked
     assert first == later and (few.pictures, all_of_it.pictures) == ("keyframes", "all")

@@ -16,7 +16,7 @@ import typer
 
 import benchmark
 from benchmark.cli.app import app
-from generation.sources.mini import TownSettings
+from generation.sources.town import DEFAULT_VAL_SCENES
 from generation.splits.packaged import read_newest_split
 from tests.whole_product import command_is_installed, is_installed
 
@@ -100,15 +100,13 @@ def test_importing_it_is_light_and_a_star_imports_what_is_shown() -> None:
 
 
 ONE_SCENE = """
-from functools import partial
-
-import generation.sources.mini as mini
+import generation.sources.town as town
 import generation.splits.cached as cached
 from generation.splits.packaged import NamedSplit, read_newest_split
 
 whole = read_newest_split("mini")
 one = min(whole.frozen.scenes, key=lambda scene: scene.name)
-mini.TownSettings = partial(mini.TownSettings, val_scenes=int(one.source[-4:]) - 7999, images=False)
+town.DEFAULT_VAL_SCENES = int(one.source[-4:]) - 7999
 few = NamedSplit(whole.name, whole.frozen.model_copy(update={"scenes": (one,)}))
 cached.read_newest_split = lambda *_: few
 """
@@ -140,7 +138,7 @@ def test_the_examples_of_the_documentation_run_as_a_plain_script(cache: Path, tm
 def test_the_examples_run(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = "docs/python.md"
     # Both are put back after the test.
-    monkeypatch.setattr("generation.sources.mini.TownSettings", TownSettings)
+    monkeypatch.setattr("generation.sources.town.DEFAULT_VAL_SCENES", DEFAULT_VAL_SCENES)
     monkeypatch.setattr("generation.splits.cached.read_newest_split", read_newest_split)
     exec(ONE_SCENE, {})
     monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(cache))

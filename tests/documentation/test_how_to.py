@@ -30,7 +30,7 @@ def printed(page: str) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    settings = TownSettings(val_scenes=1, width=96, height=54, frames="keyframes")
+    settings = TownSettings(val_scenes=1, width=96, height=54, frames="keyframes", version=1)
     data: DataSet = benchmark.open_data(
         benchmark.build_town(tmp_path_factory.mktemp("how-to") / "town", settings, workers=1)
     )

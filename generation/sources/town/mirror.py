@@ -1,17 +1,14 @@
 """Left-hand traffic: a town whose traffic keeps to the right, seen in a mirror along the x axis of its map."""
 
 from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 import shapely
 from shapely.geometry import Polygon
 
 from benchmark.geometry import Floats
-from benchmark.road_map import Divider, RoadMap
+from benchmark.road_map import Divider, RoadMap, mend_polygon
 from generation.sources.town.network import CANVAS_M
-
-_Shape = TypeVar("_Shape", bound=shapely.Geometry)
 
 
 def mirror_points(points: Floats) -> Floats:
@@ -23,11 +20,13 @@ def mirror_points(points: Floats) -> Floats:
 
 
 def mirror_map(road_map: RoadMap) -> RoadMap:
-    """A map in the mirror; lanes lead where they led."""
+    """A map in the mirror; lanes lead where they led.
 
-    def mirror(shape: _Shape) -> _Shape:
-        mirrored: _Shape = shapely.transform(shape, mirror_points)
-        return mirrored
+    Mirrored coordinates round otherwise, so that a spike of a polygon may cross itself: polygons are mended.
+    """
+
+    def mirror(shape: Polygon) -> Polygon:
+        return mend_polygon(shapely.transform(shape, mirror_points))
 
     def mirror_all(shapes: dict[str, Polygon]) -> dict[str, Polygon]:
         return {name: mirror(shape) for name, shape in shapes.items()}
@@ -46,7 +45,7 @@ def mirror_map(road_map: RoadMap) -> RoadMap:
     )
     return replace(
         road_map,
-        drivable_area=mirror(road_map.drivable_area),
+        drivable_area=shapely.transform(road_map.drivable_area, mirror_points),
         lanes=lanes,
         dividers=tuple(dividers),
         ped_crossings=mirror_all(road_map.ped_crossings),

@@ -44,8 +44,8 @@ def test_a_disk_without_room_is_refused(tmp_path: Path, free: Have) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ("eval --model idm", "the embedded data set needs about 0.062 GB"),
-        ("generate --split val-r --size 896x512", "the embedded data set needs about 0.062 GB"),
+        ("eval --model idm", "the embedded data set needs about 0.19 GB"),
+        ("generate --split val-r --size 896x512", "the embedded data set needs about 0.19 GB"),
         ("demo", "the demo needs about 0.05 GB"),
     ],
 )
@@ -57,5 +57,5 @@ def test_nothing_is_begun_that_the_disk_has_no_room_for(
     assert says in refusal(*arguments.split(), "--out", tmp_path / "out")
     free(5e8)
     if arguments.startswith("generate"):
-        assert "split val-r needs about 1.5 GB" in refusal(*arguments.split(), "--out", tmp_path / "out")
+        assert "split val-r needs about 4.4 GB" in refusal(*arguments.split(), "--out", tmp_path / "out")
     assert list(tmp_path.iterdir()) == []

@@ -1,12 +1,15 @@
 """Estimates before the work, and where the time went after it."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from benchmark.datasets.roots import DataSet
 from benchmark.published import RUNTIME_S
+from benchmark.scene import Scene
 from generation.pipeline.estimate import (
     WorkEstimate,
     build_runtime_table,
@@ -81,10 +84,26 @@ def test_the_runtime_table_adds_up_notes(tmp_path: Path) -> None:
     assert nothing.each_s("sampling") is None and "-" in nothing.table().plain() and compute_mean_seconds([]) is None
 
 
-def test_what_a_scene_costs_before_its_first_picture_is_counted_once(source: DataSet, tmp_path: Path) -> None:
-    renderer, scene = SchematicRenderer(64, 40), source.scene(source.scene_names("val")[0])
+class CountedRenderer:
+    """Takes 5 s before the first picture of a scene, then 0.1 s a picture, by a clock of its own."""
+
+    seconds = 0.0
+
+    def render(self, scene: Scene, frames: Sequence[int]) -> Iterator[None]:
+        self.seconds += 5.0
+        for _ in frames:
+            self.seconds += 0.1
+            yield None
+
+
+def test_what_a_scene_costs_before_its_first_picture_is_counted_once(
+    source: DataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counted, scene = CountedRenderer(), source.scene(source.scene_names("val")[0])
+    renderer: Any = counted
+    monkeypatch.setattr("generation.pipeline.estimate.time.process_time", lambda: counted.seconds)
     few = estimate_rendering(renderer, scene, "keyframes", tmp_path)
     many = estimate_rendering(renderer, scene, "all", tmp_path)
-    assert few > 0.0
-    assert many < 1.5 * few * len(scene.timestamps_us) / len(scene.keyframes)
+    assert few == pytest.approx(5.0 + 0.1 * len(scene.keyframes))
+    assert many == pytest.approx(5.0 + 0.1 * len(scene.timestamps_us))
     assert estimate_rendering(None, scene, "all", tmp_path) == 0.0

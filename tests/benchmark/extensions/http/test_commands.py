@@ -118,7 +118,7 @@ def test_it_runs_as_it_stands_and_is_driven() -> None:
 def test_a_server_in_axes_of_the_lidar_is_named_and_driven_right_with_its_frame(tmp_path: Path) -> None:
     """As the fork of VAD that serves NeuroNCAP answers: x right, y forward."""
 
-    settings = TownSettings(val_scenes=4, width=96, height=54, frames="keyframes")
+    settings = TownSettings(val_scenes=4, width=96, height=54, frames="keyframes", version=1)
     root = build_town_data_set(tmp_path / "root", settings, workers=1)
 
     def ahead(path: str, body: bytes) -> tuple[int, bytes]:

@@ -2,6 +2,7 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
+import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely.geometry import LineString, Polygon
@@ -136,6 +137,13 @@ def test_a_town_has_everything_that_scenes_need(town: Town) -> None:
 def test_pavements_do_not_overlap_the_road(town: Town) -> None:
     drivable = town.road_map.drivable_area
     assert max(shape.intersection(drivable).area for shape in town.road_map.walkways.values()) < 0.01
+
+
+def test_pavements_are_valid_in_the_mirror_too() -> None:
+    town = build_town("singapore-queenstown", 2)
+
+    assert all(shape.is_valid for shape in town.shown_map.walkways.values())
+    shapely.union_all([town.shown_map.drivable_area, *town.shown_map.walkways.values()])
 
 
 def test_stop_lines_are_on_the_incoming_side(town: Town) -> None:
