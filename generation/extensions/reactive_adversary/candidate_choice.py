@@ -49,15 +49,29 @@ def find_drivable(
         some = [*itertools.islice(asked, most)]
         if refinement is None or not some:
             break
-        batches = refinement.batches
+        batches, back = refinement.batches, None
         motions = np.stack([batches[number].evaluated.motion.center[index] for number, index in some])
         if rules is not None:
             fair = np.flatnonzero(rules.are_fair(motions))
             some, motions = [some[row] for row in fair], motions[fair]
+            back = rules.find_return(around, motions, steps) if keeps_to_road else None
+            motions = motions if back is None else motions[: back[0]]
         found = around.find_ending(motions, steps, rules.are_on_road if rules is not None and keeps_to_road else None)
+        found = back if found is None else found
         if found is not None:
             return (*some[found[0]], found[1])
     return None
+
+
+def sort_by_road(
+    candidates: list[tuple[int, int]], refinement: Refinement, rules: AdversaryRules
+) -> list[tuple[int, int]]:
+    """The same, those that are off the road the shortest first."""
+    if not candidates:
+        return candidates
+    motions = np.stack([refinement.batches[number].evaluated.motion.center[index] for number, index in candidates])
+    order = np.argsort(rules.count_off_road(motions.transpose(2, 0, 1)), kind="stable")
+    return [candidates[row] for row in order.tolist()]
 
 
 def order_candidates(scores: Floats, most: int) -> Iterator[tuple[int, int]]:

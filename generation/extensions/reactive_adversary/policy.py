@@ -22,7 +22,7 @@ from benchmark.machine.storage import content_seed
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.extensions.reactive_adversary.braking import brake_on_path
-from generation.extensions.reactive_adversary.candidate_choice import find_drivable, list_allowed
+from generation.extensions.reactive_adversary.candidate_choice import find_drivable, list_allowed, sort_by_road
 from generation.extensions.reactive_adversary.careful_driver import (
     CarefulDriverCheck,
     ReactivePlanning,
@@ -31,6 +31,7 @@ from generation.extensions.reactive_adversary.careful_driver import (
     get_careful_driver_check,
 )
 from generation.extensions.reactive_adversary.ego_prediction import EgoObservations, predict_ego
+from generation.extensions.reactive_adversary.returning import find_recorded_rest
 from generation.extensions.reactive_adversary.rules import AdversaryRules, rasterise_road
 from generation.extensions.reactive_adversary.safe_endings import (
     AHEAD_FRAMES,
@@ -282,7 +283,9 @@ class ReactiveAdversary:
         if self.road is None:
             return None
         careful = get_careful_driver_check(scene, self.agent, frame, compute_ego_speed_at(scene, frame))
-        return AdversaryRules.of(scene, self.road, careful, self.agent, memory.track[-1])
+        scripted = scene.agents.ids[self.agent] in scene.adversaries
+        recorded = None if scripted else find_recorded_rest(scene, self.agent, frame)
+        return AdversaryRules.of(scene, self.road, careful, self.agent, memory.track[-1], recorded)
 
     def _find_road_pose(self, scene: Scene, frame: int, pose: Floats) -> Floats | None:
         """Around the ego, as the search looks; around itself where the area around the ego has lost it."""
@@ -306,13 +309,23 @@ class ReactiveAdversary:
         candidates = [] if refinement is None else list_allowed(refinement, self.settings.hyper, steps, on_road=on_road)
         cached_ending = np.concatenate([memory.track[-1:], memory.ending])
         options = [*self._compute_brakings((0.0, *BRAKING_M_S2), around, memory), cached_ending]
+        back = None if rules is None else rules.find_return(around, options[0][None], 0)
+        options[1:1] = [] if back is None else [back[1]]
         # Whoever has rules leaves the road rather than hit an ego whom no careful human could save.
         for keeps_to_road in (True,) if rules is None else (True, False):
+            if not keeps_to_road and refinement is not None:
+                candidates = sort_by_road(candidates, refinement, rules)
             found = find_drivable(candidates, refinement, around, steps, rules, keeps_to_road=keeps_to_road)
+            kept = None
+            if rules is not None and (found is None or not keeps_to_road):
+                kept = rules.find_kept(around, options, keeps_to_road=keeps_to_road)
+            if found is not None and kept is not None:
+                motion = refinement.batches[found[0]].evaluated.motion.center[found[1]]
+                off = [int(rules.count_off_road(poses.T[:, None])[0]) for poses in (motion, kept)]
+                found = found if off[0] <= off[1] else None
             if found is not None:
                 assert refinement is not None
                 return self._build_searched_motion(frame, steps, refinement, *found)
-            kept = None if rules is None else rules.find_kept(around, options, keeps_to_road=keeps_to_road)
             if kept is not None:
                 return self._build_braked_motion(frame, steps, kept)
         if rules is not None:

@@ -14,16 +14,19 @@ import numpy as np
 
 from benchmark.dynamics.bicycle import SimulatedMotion
 from benchmark.geometry import Bools, Floats, box_corners
-from benchmark.interactions.tracks import ContinuousTracks
+from benchmark.interactions.tracks import ContinuousTracks, Integers
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.extensions.reactive_adversary.careful_driver import CarefulDriverCheck
+from generation.extensions.reactive_adversary.returning import build_returns
 from generation.extensions.reactive_adversary.safe_endings import SurroundingTracks
 
 _CELL_M: Final = 0.25
 _AROUND_M: Final = 40.0
 _MOST_M: Final = 250.0
 """Half the side of the square of the road that is known."""
+_EDGE_M: Final = 0.15
+"""Of road that is left on every side of the body: the road is known to a cell."""
 _EVERY_FRAMES: Final = 3
 RETURN_FRAMES: Final = 36
 """Until a body that is off the road is to be on it again: 3 s."""
@@ -49,23 +52,44 @@ class AdversaryRules:
     from_frame: int
     careful: CarefulDriverCheck
     size: Floats
+    recorded: Floats | None = None
 
     @classmethod
-    def of(cls, scene: Scene, road: DrivableRaster, careful: CarefulDriverCheck, agent: int, now: Floats) -> Self:
+    def of(
+        cls,
+        scene: Scene,
+        road: DrivableRaster,
+        careful: CarefulDriverCheck,
+        agent: int,
+        now: Floats,
+        recorded: Floats | None = None,
+    ) -> Self:
         """Rules for an adversary at a (3,) pose; one that is off the road has some time to return to it."""
-        known = cls(road, 0, careful, scene.agents.size[agent, :2])
-        return known if known.are_on_road(now[:, None, None])[0] else replace(known, from_frame=RETURN_FRAMES)
+        for air in (_EDGE_M, 0.0):
+            known = cls(road, 0, careful, scene.agents.size[agent, :2] + 2.0 * air, recorded)
+            if known.are_on_road(now[:, None, None])[0]:
+                return known
+        return replace(known, from_frame=RETURN_FRAMES)
 
     def are_on_road(self, columns: Floats) -> Bools:
         """(P,) whether all corners stay on the road; (3, P, K) x, y, yaw, looked at every 0.25 s and at the end."""
         last = columns.shape[2] - 1
-        if last < self.from_frame:
-            return np.ones(columns.shape[1], np.bool_)
-        frames = np.unique([*range(self.from_frame, last + 1, _EVERY_FRAMES), last])
+        return self._look(columns, self.from_frame).all(axis=1) if last >= self.from_frame else np.ones(
+            columns.shape[1], np.bool_
+        )
+
+    def count_off_road(self, columns: Floats) -> Integers:
+        """(P,) at how many of the frames that are looked at a corner is off the road, in the first 3 s; from now on."""
+        return np.asarray((~self._look(columns[:, :, : RETURN_FRAMES + 1], 0)).sum(axis=1))
+
+    def _look(self, columns: Floats, first: int) -> Bools:
+        """(P, K) whether all corners are on the road, every 0.25 s from a frame on, and at the end."""
+        last = columns.shape[2] - 1
+        frames = np.unique([*range(first, last + 1, _EVERY_FRAMES), last])
         x, y, yaw = columns[:, :, frames]
         size = np.broadcast_to(self.size, (*x.shape, 2))
         corners = box_corners(np.concatenate([x[..., None], y[..., None], size, yaw[..., None]], axis=-1))
-        return np.asarray(self.road.look_up(corners).all(axis=(1, 2)))
+        return np.asarray(self.road.look_up(corners).all(axis=2))
 
     def are_fair(self, center: Floats) -> Bools:
         """(N,) whether a careful human touches nobody, or the ego never meets it; (N, F, 3) poses from now on."""
@@ -78,6 +102,16 @@ class AdversaryRules:
             fair &= ~self.careful.is_met(placed, in_front=False)
         return np.asarray(fair)
 
+    def find_return(self, around: SurroundingTracks, motions: Floats, executed: int) -> tuple[int, Floats] | None:
+        """Index of the first of (N, F, 3) motions that can return to the recording, and (K + 1, 3) how it does."""
+        if self.recorded is None or not len(motions):
+            return None
+        columns, can = build_returns(motions, executed, self.recorded, around.frame_seconds)
+        row, way = np.nonzero(can)
+        kept = np.flatnonzero(self.are_on_road(columns[:, row, way]))
+        kept = kept[around.find_clear(columns[:, row[kept], way[kept]], 0)]
+        return (int(row[kept[0]]), columns[:, row[kept[0]], way[kept[0]]].T) if len(kept) else None
+
     def find_kept(self, around: SurroundingTracks, options: Sequence[Floats], *, keeps_to_road: bool) -> Floats | None:
         """The first of some motions, (K + 1, 3) to the last frame, that touches no other and keeps the rules."""
         poses = np.stack(options)
@@ -85,7 +119,10 @@ class AdversaryRules:
         if keeps_to_road:
             kept &= self.are_on_road(poses.transpose(2, 0, 1))
         kept &= self.are_fair(poses)
-        return options[int(np.argmax(kept))] if kept.any() else None
+        if not kept.any():
+            return None
+        off = self.count_off_road(poses.transpose(2, 0, 1))
+        return options[int(np.argmin(np.where(kept, off, np.inf)))]
 
     def find_clearest(self, around: SurroundingTracks, scene: Scene, frame: int, options: Sequence[Floats]) -> Floats:
         """Of those that touch no other, if any, the one that keeps clear of the ego longest, on the road if it can."""

@@ -153,7 +153,7 @@ class SurroundingTracks:
         """
         last = min(executed, len(self.frame_seconds) - 1)
         done = motions[:, : last + 1].transpose(2, 0, 1)
-        kept = np.flatnonzero(self._find_clear(done, 0) & (True if are_allowed is None else are_allowed(done)))
+        kept = np.flatnonzero(self.find_clear(done, 0) & (True if are_allowed is None else are_allowed(done)))
         kinds = self._list_endings(motions.shape[1], executed)
         goes_on = self._find_clear_endings(motions[kept], kinds[:1], last, are_allowed)[:, 0]
         # One that can go on at its speed needs no brakes, and none after it is asked.
@@ -185,7 +185,7 @@ class SurroundingTracks:
                 columns = brake_on_paths(motions, row, [kinds[each] for each in kind], self.frame_seconds, ends[-1])
                 alive = np.arange(len(row))
                 for end in ends:
-                    alive = alive[self._find_clear(columns[:, alive, :end], last)]
+                    alive = alive[self.find_clear(columns[:, alive, :end], last)]
                     last = end - 1
                 if are_allowed is not None:
                     alive = alive[are_allowed(columns[:, alive])]
@@ -195,7 +195,7 @@ class SurroundingTracks:
                 break
         return clear
 
-    def _find_clear(self, columns: Floats, first: int) -> Bools:
+    def find_clear(self, columns: Floats, first: int) -> Bools:
         """(P,) whether motions touch nobody from a frame on; (3, P, K) x, y, yaw of the first frames."""
         known = self.frame_seconds[: columns.shape[2]]
         count = int(np.searchsorted(self.seconds, known[-1] + 1e-9, side="right"))
