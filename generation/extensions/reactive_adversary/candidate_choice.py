@@ -1,12 +1,12 @@
 """Which candidate of a search is driven: the best that stays on the road and can end without touching another."""
 
 import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Final
 
 import numpy as np
 
-from benchmark.geometry import Floats
+from benchmark.geometry import Bools, Floats
 from benchmark.interactions.tracks import Integers
 from generation.extensions.reactive_adversary.rules import AdversaryRules
 from generation.extensions.reactive_adversary.safe_endings import SurroundingTracks
@@ -40,10 +40,12 @@ def find_drivable(
     around: SurroundingTracks,
     steps: int,
     rules: AdversaryRules | None,
-    *,
-    keeps_to_road: bool,
+    are_allowed: Callable[[Floats], Bools] | None = None,
 ) -> tuple[int, int, Floats] | None:
-    """The first candidate that has an ending, by round and index, and that ending; ``None`` where none has."""
+    """The first candidate that has an ending, by round and index, and that ending; ``None`` where none has.
+
+    ``are_allowed`` says which whole motions are (`SurroundingTracks.find_ending`).
+    """
     asked = iter(candidates)
     for most in _TOGETHER:
         some = [*itertools.islice(asked, most)]
@@ -54,9 +56,9 @@ def find_drivable(
         if rules is not None:
             fair = np.flatnonzero(rules.are_fair(motions))
             some, motions = [some[row] for row in fair], motions[fair]
-            back = rules.find_return(around, motions, steps) if keeps_to_road else None
+            back = None if are_allowed is None else rules.find_return(around, motions, steps, are_allowed)
             motions = motions if back is None else motions[: back[0]]
-        found = around.find_ending(motions, steps, rules.are_on_road if rules is not None and keeps_to_road else None)
+        found = around.find_ending(motions, steps, are_allowed)
         found = back if found is None else found
         if found is not None:
             return (*some[found[0]], found[1])

@@ -309,13 +309,14 @@ class ReactiveAdversary:
         candidates = [] if refinement is None else list_allowed(refinement, self.settings.hyper, steps, on_road=on_road)
         cached_ending = np.concatenate([memory.track[-1:], memory.ending])
         options = [*self._compute_brakings((0.0, *BRAKING_M_S2), around, memory), cached_ending]
-        back = None if rules is None else rules.find_return(around, options[0][None], 0)
+        back = None if rules is None else rules.find_return(around, options[0][None], 0, rules.are_on_road)
         options[1:1] = [] if back is None else [back[1]]
         # Whoever has rules leaves the road rather than hit an ego whom no careful human could save.
-        for keeps_to_road in (True,) if rules is None else (True, False):
-            if not keeps_to_road and refinement is not None:
+        for are_allowed in (None,) if rules is None else (rules.are_kept, rules.are_on_road, None):
+            if rules is not None and refinement is not None and are_allowed is None:
                 candidates = sort_by_road(candidates, refinement, rules)
-            found = find_drivable(candidates, refinement, around, steps, rules, keeps_to_road=keeps_to_road)
+            found = find_drivable(candidates, refinement, around, steps, rules, are_allowed)
+            keeps_to_road = are_allowed is not None; tier = ["F","R","T"][0 if rules is None or are_allowed is None else 1 if are_allowed==rules.are_on_road else 2]
             kept = None
             if rules is not None and (found is None or not keeps_to_road):
                 kept = rules.find_kept(around, options, keeps_to_road=keeps_to_road)

@@ -6,7 +6,7 @@ speed, touches nobody from the planning frame on: neither it, nor another becaus
 keeps clear of the ego as expected, as long as it can.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Self
 
@@ -102,13 +102,24 @@ class AdversaryRules:
             fair &= ~self.careful.is_met(placed, in_front=False)
         return np.asarray(fair)
 
-    def find_return(self, around: SurroundingTracks, motions: Floats, executed: int) -> tuple[int, Floats] | None:
-        """Index of the first of (N, F, 3) motions that can return to the recording, and (K + 1, 3) how it does."""
+    def are_kept(self, columns: Floats) -> Bools:
+        """(P,) whether motions stay on the road and are fair, too; (3, P, K) x, y, yaw."""
+        kept = self.are_on_road(columns)
+        kept[kept] = self.are_fair(columns[:, kept].transpose(1, 2, 0))
+        return kept
+
+    def find_return(
+        self, around: SurroundingTracks, motions: Floats, executed: int, are_allowed: Callable[[Floats], Bools]
+    ) -> tuple[int, Floats] | None:
+        """Index of the first of (N, F, 3) motions that can return to the recording, and (K + 1, 3) how it does.
+
+        ``are_allowed`` is `are_kept` or `are_on_road`.
+        """
         if self.recorded is None or not len(motions):
             return None
         columns, can = build_returns(motions, executed, self.recorded, around.frame_seconds)
         row, way = np.nonzero(can)
-        kept = np.flatnonzero(self.are_on_road(columns[:, row, way]))
+        kept = np.flatnonzero(are_allowed(columns[:, row, way]))
         kept = kept[around.find_clear(columns[:, row[kept], way[kept]], 0)]
         return (int(row[kept[0]]), columns[:, row[kept[0]], way[kept[0]]].T) if len(kept) else None
 
