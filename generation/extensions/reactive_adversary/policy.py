@@ -30,7 +30,7 @@ from generation.extensions.reactive_adversary.careful_driver import (
     compute_ego_speed_at,
     get_careful_driver_check,
 )
-from generation.extensions.reactive_adversary.ego_prediction import EgoObservations, predict_ego
+from generation.extensions.reactive_adversary.ego_prediction import EgoObservations, predict_ego, predict_turns
 from generation.extensions.reactive_adversary.returning import find_recorded_rest
 from generation.extensions.reactive_adversary.rules import AdversaryRules, rasterise_road
 from generation.extensions.reactive_adversary.safe_endings import (
@@ -282,7 +282,10 @@ class ReactiveAdversary:
         """Rules at a frame, of who has a road to keep to."""
         if self.road is None:
             return None
-        careful = get_careful_driver_check(scene, self.agent, frame, compute_ego_speed_at(scene, frame))
+        speed = compute_ego_speed_at(scene, frame)
+        careful = [get_careful_driver_check(scene, self.agent, frame, speed)]
+        for ego in predict_turns(scene, memory.seen, self.road):
+            careful.append(CarefulDriverCheck.of(replace(scene, ego=ego), self.agent, frame, speed))
         scripted = scene.agents.ids[self.agent] in scene.adversaries
         recorded = None if scripted else find_recorded_rest(scene, self.agent, frame)
         return AdversaryRules.of(scene, self.road, careful, self.agent, memory.track[-1], recorded)
@@ -312,11 +315,13 @@ class ReactiveAdversary:
         back = None if rules is None else rules.find_return(around, options[0][None], 0, rules.are_on_road)
         options[1:1] = [] if back is None else [back[1]]
         # Whoever has rules leaves the road rather than hit an ego whom no careful human could save.
-        for are_allowed in (None,) if rules is None else (rules.are_kept, rules.are_on_road, None):
+        known = None if rules is None else rules.as_expected
+        tiers=[(None,None,"F")] if rules is None else [(rules,rules.are_kept,"T"),(known,known.are_kept,"S"),(known,known.are_on_road,"R"),(known,None,"F")]
+        for rules, are_allowed, tier in tiers:
             if rules is not None and refinement is not None and are_allowed is None:
                 candidates = sort_by_road(candidates, refinement, rules)
             found = find_drivable(candidates, refinement, around, steps, rules, are_allowed)
-            keeps_to_road = are_allowed is not None; tier = ["F","R","T"][0 if rules is None or are_allowed is None else 1 if are_allowed==rules.are_on_road else 2]
+            keeps_to_road = are_allowed is not None
             kept = None
             if rules is not None and (found is None or not keeps_to_road):
                 kept = rules.find_kept(around, options, keeps_to_road=keeps_to_road)

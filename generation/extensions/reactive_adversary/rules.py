@@ -50,7 +50,7 @@ class AdversaryRules:
 
     road: DrivableRaster
     from_frame: int
-    careful: CarefulDriverCheck
+    careful: tuple[CarefulDriverCheck, ...]
     size: Floats
     recorded: Floats | None = None
 
@@ -59,14 +59,14 @@ class AdversaryRules:
         cls,
         scene: Scene,
         road: DrivableRaster,
-        careful: CarefulDriverCheck,
+        careful: Sequence[CarefulDriverCheck],
         agent: int,
         now: Floats,
         recorded: Floats | None = None,
     ) -> Self:
         """Rules for an adversary at a (3,) pose; one that is off the road has some time to return to it."""
         for air in (_EDGE_M, 0.0):
-            known = cls(road, 0, careful, scene.agents.size[agent, :2] + 2.0 * air, recorded)
+            known = cls(road, 0, tuple(careful), scene.agents.size[agent, :2] + 2.0 * air, recorded)
             if known.are_on_road(now[:, None, None])[0]:
                 return known
         return replace(known, from_frame=RETURN_FRAMES)
@@ -95,12 +95,19 @@ class AdversaryRules:
         """(N,) whether a careful human touches nobody, or the ego never meets it; (N, F, 3) poses from now on."""
         count = len(center)
         motion = SimulatedMotion(center, np.zeros((count, 0, 6)), np.zeros((count, 0, 2)), np.ones(count, np.bool_))
-        placed = self.careful.place(motion, self.size)
-        fair = ~self.careful.hits(placed)
-        if self.careful.lost:
-            # Others hit the human in any case: then it may not be met at all.
-            fair &= ~self.careful.is_met(placed, in_front=False)
-        return np.asarray(fair)
+        fair = np.ones(count, np.bool_)
+        for careful in self.careful:
+            placed = careful.place(motion, self.size)
+            fair &= ~careful.hits(placed)
+            if careful.lost:
+                # Others hit the human in any case: then it may not be met at all.
+                fair &= ~careful.is_met(placed, in_front=False)
+        return fair
+
+    @property
+    def as_expected(self) -> Self:
+        """The same where the ego drives as expected, and never turns."""
+        return replace(self, careful=self.careful[:1])
 
     def are_kept(self, columns: Floats) -> Bools:
         """(P,) whether motions stay on the road and are fair, too; (3, P, K) x, y, yaw."""
