@@ -1,7 +1,7 @@
 """Which candidate of a search is driven: the best that stays on the road and can end without touching another."""
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -39,7 +39,7 @@ def find_drivable(
     refinement: Refinement | None,
     around: SurroundingTracks,
     steps: int,
-    rules: AdversaryRules | None,
+    rules: AdversaryRules | None = None,
     are_allowed: Callable[[Floats], Bools] | None = None,
 ) -> tuple[int, int, Floats] | None:
     """The first candidate that has an ending, by round and index, and that ending; ``None`` where none has.
@@ -51,8 +51,7 @@ def find_drivable(
         some = [*itertools.islice(asked, most)]
         if refinement is None or not some:
             break
-        batches, back = refinement.batches, None
-        motions = np.stack([batches[number].evaluated.motion.center[index] for number, index in some])
+        motions, back = _collect_motions(some, refinement), None
         if rules is not None:
             fair = np.flatnonzero(rules.are_fair(motions))
             some, motions = [some[row] for row in fair], motions[fair]
@@ -65,15 +64,43 @@ def find_drivable(
     return None
 
 
-def sort_by_road(
-    candidates: list[tuple[int, int]], refinement: Refinement, rules: AdversaryRules
-) -> list[tuple[int, int]]:
-    """The same, those that are off the road the shortest first."""
-    if not candidates:
-        return candidates
-    motions = np.stack([refinement.batches[number].evaluated.motion.center[index] for number, index in candidates])
-    order = np.argsort(rules.count_off_road(motions.transpose(2, 0, 1)), kind="stable")
-    return [candidates[row] for row in order.tolist()]
+def choose_by_rules(
+    candidates: list[tuple[int, int]],
+    refinement: Refinement | None,
+    around: SurroundingTracks,
+    steps: int,
+    rules: AdversaryRules,
+    options: Sequence[Floats],
+) -> tuple[int, int, Floats] | Floats | None:
+    """A candidate and its ending as of `find_drivable`, or one of other motions (K + 1, 3); ``None``: nothing is fair.
+
+    Rules are dropped one by one: that the ego may turn; that an ending is fair, too; the road, as briefly as can be.
+    Of the motions the first goes on as was meant; returning from it to the recording is another.
+    """
+    back = rules.find_return(around, options[0][None], 0, rules.are_on_road)
+    options = [options[0], *([] if back is None else back[1:]), *options[1:]]
+    expected = rules.as_expected
+    for held, are_allowed in ((rules, rules.are_kept), (expected, expected.are_kept), (expected, expected.are_on_road)):
+        found = find_drivable(candidates, refinement, around, steps, held, are_allowed)
+        kept = held.find_kept(around, options, keeps_to_road=True) if found is None else None
+        if found is not None or kept is not None:
+            return kept if found is None else found
+    if refinement is None or not candidates:
+        return expected.find_kept(around, options, keeps_to_road=False)
+    off = expected.count_off_road(_collect_motions(candidates, refinement).transpose(2, 0, 1))
+    shortest = [candidates[row] for row in np.argsort(off, kind="stable").tolist()]
+    found = find_drivable(shortest, refinement, around, steps, expected)
+    kept = expected.find_kept(around, options, keeps_to_road=False)
+    if found is None or kept is None:
+        return kept if found is None else found
+    motion = _collect_motions([found[:2]], refinement)[0]
+    meant, other = (int(expected.count_off_road(poses.T[:, None])[0]) for poses in (motion, kept))
+    return found if meant <= other else kept
+
+
+def _collect_motions(candidates: Iterable[tuple[int, int]], refinement: Refinement) -> Floats:
+    """(N, F, 3) of candidates by round and index."""
+    return np.stack([refinement.batches[number].evaluated.motion.center[index] for number, index in candidates])
 
 
 def order_candidates(scores: Floats, most: int) -> Iterator[tuple[int, int]]:

@@ -22,7 +22,7 @@ from benchmark.machine.storage import content_seed
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.extensions.reactive_adversary.braking import brake_on_path
-from generation.extensions.reactive_adversary.candidate_choice import find_drivable, list_allowed, sort_by_road
+from generation.extensions.reactive_adversary.candidate_choice import choose_by_rules, find_drivable, list_allowed
 from generation.extensions.reactive_adversary.careful_driver import (
     CarefulDriverCheck,
     ReactivePlanning,
@@ -312,32 +312,18 @@ class ReactiveAdversary:
         candidates = [] if refinement is None else list_allowed(refinement, self.settings.hyper, steps, on_road=on_road)
         cached_ending = np.concatenate([memory.track[-1:], memory.ending])
         options = [*self._compute_brakings((0.0, *BRAKING_M_S2), around, memory), cached_ending]
-        back = None if rules is None else rules.find_return(around, options[0][None], 0, rules.are_on_road)
-        options[1:1] = [] if back is None else [back[1]]
-        # Whoever has rules leaves the road rather than hit an ego whom no careful human could save.
-        known = None if rules is None else rules.as_expected
-        tiers=[(None,None,"F")] if rules is None else [(rules,rules.are_kept,"T"),(known,known.are_kept,"S"),(known,known.are_on_road,"R"),(known,None,"F")]
-        for rules, are_allowed, tier in tiers:
-            if rules is not None and refinement is not None and are_allowed is None:
-                candidates = sort_by_road(candidates, refinement, rules)
-            found = find_drivable(candidates, refinement, around, steps, rules, are_allowed)
-            keeps_to_road = are_allowed is not None
-            kept = None
-            if rules is not None and (found is None or not keeps_to_road):
-                kept = rules.find_kept(around, options, keeps_to_road=keeps_to_road)
-            if found is not None and kept is not None:
-                motion = refinement.batches[found[0]].evaluated.motion.center[found[1]]
-                off = [int(rules.count_off_road(poses.T[:, None])[0]) for poses in (motion, kept)]
-                found = found if off[0] <= off[1] else None
-            if found is not None:
-                assert refinement is not None
-                return self._build_searched_motion(frame, steps, refinement, *found)
-            if kept is not None:
-                return self._build_braked_motion(frame, steps, kept)
         if rules is not None:
-            return self._build_braked_motion(frame, steps, rules.find_clearest(around, scene, frame, options))
-        # Brakes on the meant path, as gently as touches no other; or the ending that was kept; or the longest one.
-        return self._build_braked_motion(frame, steps, around.find_longest(options))
+            chosen = choose_by_rules(candidates, refinement, around, steps, rules, options)
+            if chosen is None:
+                chosen = rules.find_clearest(around, scene, frame, options)
+        else:
+            chosen = find_drivable(candidates, refinement, around, steps)
+            if chosen is None:
+                # Brakes on the meant path, as gently as touches no other; or the ending kept; or the longest one.
+                chosen = around.find_longest(options)
+        if refinement is not None and isinstance(chosen, tuple):
+            return self._build_searched_motion(frame, steps, refinement, *chosen)
+        return self._build_braked_motion(frame, steps, chosen)
 
     def _build_searched_motion(
         self, frame: int, steps: int, refinement: Refinement, number: int, index: int, ending: Floats

@@ -2,8 +2,8 @@
 
 Such an adversary meets egos in other simulators, of which nothing else is known. A plan and its ending keep all corners
 of its body on the road. It may come into the ego's way only where a careful human in the ego's place, with the ego's
-speed, touches nobody from the planning frame on: neither it, nor another because of it. Where no motion is like that it
-keeps clear of the ego as expected, as long as it can.
+speed, touches nobody from the planning frame on: neither it, nor another because of it; also if the ego begins to turn
+where there is road. Where no motion is like that it keeps clear of the ego as expected, as long as it can.
 """
 
 from collections.abc import Callable, Sequence
@@ -46,13 +46,18 @@ def rasterise_road(scene: Scene) -> DrivableRaster:
 
 @dataclass(frozen=True, slots=True)
 class AdversaryRules:
-    """The rules at a planning frame, of a body of (2,) ``size``, which is to be on the road from some frame on."""
+    """The rules at a planning frame, of a body of (2,) ``size``, which is to be on the road from some frame on.
+
+    ``careful`` are humans in the place of an ego that drives as expected, first, and of one that turns; ``recorded`` is
+    (K + 1, 3) the adversary's own recording from now on, if it may be known; ``air_m`` is left to the road's edge.
+    """
 
     road: DrivableRaster
     from_frame: int
     careful: tuple[CarefulDriverCheck, ...]
     size: Floats
     recorded: Floats | None = None
+    air_m: float = 0.0
 
     @classmethod
     def of(
@@ -65,18 +70,17 @@ class AdversaryRules:
         recorded: Floats | None = None,
     ) -> Self:
         """Rules for an adversary at a (3,) pose; one that is off the road has some time to return to it."""
-        for air in (_EDGE_M, 0.0):
-            known = cls(road, 0, tuple(careful), scene.agents.size[agent, :2] + 2.0 * air, recorded)
+        for air_m in (_EDGE_M, 0.0):
+            known = cls(road, 0, tuple(careful), scene.agents.size[agent, :2], recorded, air_m)
             if known.are_on_road(now[:, None, None])[0]:
                 return known
         return replace(known, from_frame=RETURN_FRAMES)
 
     def are_on_road(self, columns: Floats) -> Bools:
         """(P,) whether all corners stay on the road; (3, P, K) x, y, yaw, looked at every 0.25 s and at the end."""
-        last = columns.shape[2] - 1
-        return self._look(columns, self.from_frame).all(axis=1) if last >= self.from_frame else np.ones(
-            columns.shape[1], np.bool_
-        )
+        if columns.shape[2] <= self.from_frame:
+            return np.ones(columns.shape[1], np.bool_)
+        return np.asarray(self._look(columns, self.from_frame).all(axis=1))
 
     def count_off_road(self, columns: Floats) -> Integers:
         """(P,) at how many of the frames that are looked at a corner is off the road, in the first 3 s; from now on."""
@@ -87,7 +91,7 @@ class AdversaryRules:
         last = columns.shape[2] - 1
         frames = np.unique([*range(first, last + 1, _EVERY_FRAMES), last])
         x, y, yaw = columns[:, :, frames]
-        size = np.broadcast_to(self.size, (*x.shape, 2))
+        size = np.broadcast_to(self.size + 2.0 * self.air_m, (*x.shape, 2))
         corners = box_corners(np.concatenate([x[..., None], y[..., None], size, yaw[..., None]], axis=-1))
         return np.asarray(self.road.look_up(corners).all(axis=2))
 

@@ -27,7 +27,7 @@ def drive(x: float, y: float, speed: float, yaw: float = 0.0, frames: int = 37) 
 
 def rules_of(scene: Scene, now: Floats) -> AdversaryRules:
     careful = CarefulDriverCheck.of(scene, 0, FRAME, 8.0)
-    return AdversaryRules.of(scene, rasterise_road(scene), careful, 0, now)
+    return AdversaryRules.of(scene, rasterise_road(scene), [careful], 0, now)
 
 
 def off_road(scene: Scene, poses: Floats) -> Bools:
@@ -67,7 +67,7 @@ def test_who_hits_a_careful_human_is_not_fair_and_whom_others_hit_may_not_be_met
     rules = rules_of(scene, ahead[0])
     motions = np.stack([shut, ahead, beside])
     assert rules.are_fair(motions).tolist() == [False, True, True]
-    doomed = replace(rules, careful=replace(rules.careful, lost=True))
+    doomed = replace(rules, careful=(replace(rules.careful[0], lost=True),))
     assert doomed.are_fair(motions).tolist() == [False, False, True]
 
 
