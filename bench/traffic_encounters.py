@@ -1,9 +1,9 @@
 """Encounters over gRPC beside replayed traffic: ``python -m bench.traffic_encounters [--seeds N] [--limit N]``.
 
-Recordings of the newest frozen split of the embedded town, seeds and two egos, each driven three times: among replayed
-traffic, against the served adversary without a map, and against the adversary in process, which knows motion only too
-but has the map. A careful human drives both encounters as well. ``--seeds 17`` are 1,000 encounters;
-``--no-socket`` hands the same bytes to the service without a network between.
+Recordings of the embedded town, seeds and two egos, each driven among replayed traffic and against the served adversary
+without a map; with the first seed also against the adversary in process, which knows motion only too but has the map. A
+careful human drives all of them as well. ``--seeds 17`` are 1,000 encounters; ``--no-socket`` hands the same bytes to
+the service without a network between.
 """
 
 import argparse
@@ -24,9 +24,9 @@ from benchmark.closed_loop.episodes import Episode, EpisodeSpec, run_episode
 from benchmark.closed_loop.observation_builder import NoSensor
 from benchmark.closed_loop.reference_drivers import simulate_reference_drivers
 from benchmark.extensions.alpasim.messages import METHODS, TRAFFIC, decode_message, encode_message
+from benchmark.extensions.alpasim.server import GrpcServer
 from benchmark.extensions.alpasim.traffic.client import RemoteTraffic, build_remote_traffic
 from benchmark.extensions.alpasim.traffic.service import TrafficService, TrafficSettings
-from benchmark.extensions.alpasim.traffic.serving import make_traffic_server
 from benchmark.extensions.alpasim.traffic.session_log import EGO
 from benchmark.extensions.alpasim.traffic.session_world import SessionWorld
 from benchmark.geometry import box_corners
@@ -131,6 +131,19 @@ class Directly:
         """Nothing is open."""
 
 
+def compare_hits(encounters: list[Encounter], draws: int = 2000) -> str:
+    """Hits per encounter, served less replayed, with the 95 % interval of recordings drawn anew."""
+    replayed = {(each.scene, each.seed, each.ego): each.hit for each in encounters if each.traffic == "replay"}
+    more: dict[str, list[int]] = {}
+    for each in encounters:
+        if each.traffic == "served":
+            more.setdefault(each.scene, []).append(each.hit - replayed[each.scene, each.seed, each.ego])
+    totals = np.array([[sum(values), len(values)] for values in more.values()])
+    drawn = totals[np.random.default_rng(0).integers(0, len(totals), (draws, len(totals)))].sum(axis=1)
+    low, high = np.percentile(drawn[:, 0] / drawn[:, 1], [2.5, 97.5])
+    return f"{totals[:, 0].sum() / totals[:, 1].sum():+.3f} ({low:+.3f} to {high:+.3f})"
+
+
 def summarise(encounters: list[Encounter]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for traffic in dict.fromkeys(each.traffic for each in encounters):
@@ -154,20 +167,24 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--limit", type=int, default=None)
     parser.add_argument("--budget", type=float, default=1e9, help="seconds after which no scene is begun")
-    parser.add_argument("--data", default="mini@2", help="whose recordings: the newest frozen split's by default")
+    parser.add_argument("--data", default="mini", help="whose recordings")
     parser.add_argument("--search", choices=[*TRAFFIC_BUDGETS], default="quick")
     parser.add_argument("--no-socket", action="store_true")
     given = parser.parse_args()
     rounds, candidates = TRAFFIC_BUDGETS[given.search]
     maker = import_from_extension("agents", "adversary")(knows="motion-only", rounds=rounds, candidates=candidates)
-    worlds: list[SessionWorld] = []
+    planned_s, bystanders, sessions = list[float](), list[tuple[str, str]](), list[str]()
 
-    server = make_traffic_server(maker, "127.0.0.1", 0, agents="adversary", seed=0)
+    def end(world: SessionWorld) -> None:
+        sessions.append(world.scene.name)
+        planned_s.extend(world.planned_s)
+        bystanders.extend(pair for pair in world.touched if EGO not in pair)
+
+    service = TrafficService(TrafficSettings("adversary", maker), end)
+    server = GrpcServer(service, limits=GRPC_SESSION, at_end=service.close)
     data, encounters, begun = benchmark.open_data(given.data), list[Encounter](), time.monotonic()
     with server:
-        remote: Any = Directly(TrafficService(TrafficSettings("adversary", maker), worlds.append))
-        if not given.no_socket:
-            remote = build_remote_traffic(server.url)
+        remote: Any = Directly(service) if given.no_socket else build_remote_traffic(server.url)
         backends = {
             "replay": DefaultBackend("replay"),
             "served": DefaultBackend("adversary", adversary=remote),
@@ -180,16 +197,17 @@ def main() -> int:
                 scene = data.scene(name)
                 for ego in EGOS:
                     for traffic, backend in backends.items():
-                        if traffic == "in process" and (ego != EGOS[0] or not maker.possible(scene)):
+                        alone = traffic == "in process"
+                        if alone and (seed or ego != EGOS[0] or not maker.possible(scene)):
                             continue
                         encounters.append(drive(data, scene, seed, ego, traffic, backend))
                         print(json.dumps(asdict(encounters[-1])), flush=True)
-    planned = 1000.0 * np.array([seconds for world in worlds for seconds in world.planned_s])
-    bystanders = [pair for world in worlds for pair in world.touched if EGO not in pair]
     print(json.dumps(summarise(encounters), indent=1))
-    print(f"sessions {len(worlds)}, contacts of the adversary with bystanders {len(bystanders)}")
-    if len(planned):
-        print(f"plans {len(planned)}, ms at 50, 95, 100 %: {np.percentile(planned, [50, 95, 100]).round().tolist()}")
+    print(f"hits per encounter, served less replayed: {compare_hits(encounters)}")
+    print(f"sessions {len(sessions)}, contacts of the adversary with bystanders {len(bystanders)}")
+    if planned_s:
+        found = (1000.0 * np.percentile(planned_s, [50, 95, 100])).round().tolist()
+        print(f"plans {len(planned_s)}, ms at 50, 95, 100 %: {found}")
     return 1 if bystanders else 0
 
 
