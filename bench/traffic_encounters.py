@@ -36,6 +36,7 @@ from benchmark.runs.redriving import read_recorded_can
 from benchmark.scene import Scene
 from benchmark.untrusted.files import GRPC_SESSION
 
+_LEFT_M = 0.5
 EGOS = ("constant-velocity-on-path", "idm")
 
 
@@ -62,8 +63,13 @@ class Encounter:
 
 
 def count_off_road(scene: Scene, track: AdversaryTrack | None) -> tuple[int, int]:
-    """Poses with a corner off the true road, and all of them."""
+    """Poses with a corner off the true road, and all of them, of an adversary that ever left its recording."""
     if track is None or not len(track.poses):
+        return 0, 0
+    rest = slice(track.start, track.start + len(track.poses))
+    there = scene.agents.valid[track.agent, rest]
+    away = np.hypot(*(scene.agents.position[track.agent, rest, :2] - track.poses[:, :2])[there].T)
+    if not (away > _LEFT_M).any():
         return 0, 0
     size = np.broadcast_to(scene.agents.size[track.agent, :2], (len(track.poses), 2))
     corners = box_corners(np.column_stack([track.poses[:, :2], size, track.poses[:, 2]]))

@@ -16,7 +16,7 @@ from generation.search.refinement import Refinement, compare_scores
 MOST_CANDIDATES_CHECKED: Final = 96
 """Candidates that are asked after the best one of a search, where that may not be driven."""
 _TOGETHER: Final = (1, 8, 24, MOST_CANDIDATES_CHECKED)
-"""Mostly the first may be driven; the others are looked at together, more and more at a time."""
+"""Mostly the first may be driven; the others are looked at together, more and more at a time, the last not by rules."""
 
 
 def list_allowed(refinement: Refinement, hyper: HyperParameters, steps: int, *, on_road: bool) -> list[tuple[int, int]]:
@@ -47,7 +47,7 @@ def find_drivable(
     ``are_allowed`` says which whole motions are (`SurroundingTracks.find_ending`).
     """
     asked = iter(candidates)
-    for most in _TOGETHER:
+    for most in _TOGETHER if rules is None else _TOGETHER[:-1]:
         some = [*itertools.islice(asked, most)]
         if refinement is None or not some:
             break
@@ -80,7 +80,8 @@ def choose_by_rules(
     back = rules.find_return(around, options[0][None], 0, rules.are_on_road)
     options = [options[0], *([] if back is None else back[1:]), *options[1:]]
     expected = rules.as_expected
-    for held, are_allowed in ((rules, rules.are_kept), (expected, expected.are_kept), (expected, expected.are_on_road)):
+    may_turn = ((rules, rules.are_kept),) if len(rules.careful) > 1 else ()
+    for held, are_allowed in (*may_turn, (expected, expected.are_kept), (expected, expected.are_on_road)):
         found = find_drivable(candidates, refinement, around, steps, held, are_allowed)
         kept = held.find_kept(around, options, keeps_to_road=True) if found is None else None
         if found is not None or kept is not None:

@@ -149,12 +149,14 @@ class SurroundingTracks:
     ) -> tuple[int, Floats] | None:
         """Index of the first of (N, F, 3) motions that has an `ending`, and that ending; looked at together.
 
-        ``are_allowed`` says which of (3, P, K) x, y, yaw are, of any motions from now on.
+        ``are_allowed`` says which of (3, P, K) x, y, yaw are, of any motions from now on; then brakes are tried at once,
+        or where the motion ends.
         """
         last = min(executed, len(self.frame_seconds) - 1)
         done = motions[:, : last + 1].transpose(2, 0, 1)
-        kept = np.flatnonzero(self.find_clear(done, 0) & (True if are_allowed is None else are_allowed(done)))
+        kept = np.flatnonzero(self.find_clear(done, 0))
         kinds = self._list_endings(motions.shape[1], executed)
+        kinds = kinds if are_allowed is None else [kind for kind in kinds if kind[0] in (last, kinds[0][0])]
         goes_on = self._find_clear_endings(motions[kept], kinds[:1], last, are_allowed)[:, 0]
         # One that can go on at its speed needs no brakes, and none after it is asked.
         before = int(np.argmax(goes_on)) if goes_on.any() else len(kept)

@@ -163,8 +163,9 @@ class RemoteTraffic:
         reached = times[start:][times[start:] <= clock[-1]]
         farthest, off_m = 0, -1.0
         for agent in memory.left:
+            there = agents.valid[agent]
             recorded = np.column_stack(
-                [np.interp(clock[1:], times, column) for column in agents.position[agent, :, :2].T]
+                [np.interp(clock[1:], times[there], column) for column in agents.position[agent, there, :2].T]
             )
             away = np.hypot(*(rows[:, agent, :2] - recorded).T)
             most = float(np.nanmax(away, initial=-1.0)) if np.isfinite(away).any() else -1.0
