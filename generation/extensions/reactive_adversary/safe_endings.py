@@ -149,8 +149,8 @@ class SurroundingTracks:
     ) -> tuple[int, Floats] | None:
         """Index of the first of (N, F, 3) motions that has an `ending`, and that ending; looked at together.
 
-        ``are_allowed`` says which of (3, P, K) x, y, yaw are, of any motions from now on; then brakes are tried at once,
-        or where the motion ends.
+        ``are_allowed`` says which of (3, P, K) x, y, yaw are, of any motions from now on; with it brakes are tried at
+        once, or where the motion ends.
         """
         last = min(executed, len(self.frame_seconds) - 1)
         done = motions[:, : last + 1].transpose(2, 0, 1)

@@ -19,8 +19,8 @@ FARTHEST_M: Final = 1.0
 def find_map_in(data: DataSet) -> Callable[[SessionLog], MapFrame]:
     """Gives the map of a session whose scene the data set has, and where the session's local frame is in it.
 
-    The session's first pose of the ego is that of the scene's first frame; if the others up to the hand-over are then
-    elsewhere than recorded, or there is no such scene, that is an `InputError`.
+    The session's first pose of the ego is that of the scene's first frame; if its later ones, up to the hand-over, are
+    then elsewhere than recorded, or there is no such scene, that is an `InputError`.
     """
     known = frozenset(data.scene_names())
 
