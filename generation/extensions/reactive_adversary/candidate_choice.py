@@ -88,14 +88,14 @@ def choose_by_rules(
             return kept if found is None else found
     if refinement is None or not candidates:
         return expected.find_kept(around, options, keeps_to_road=False)
-    off = expected.count_off_road(_collect_motions(candidates, refinement).transpose(2, 0, 1))
+    off = expected.measure_off_road(_collect_motions(candidates, refinement).transpose(2, 0, 1))
     shortest = [candidates[row] for row in np.argsort(off, kind="stable").tolist()]
     found = find_drivable(shortest, refinement, around, steps, expected)
     kept = expected.find_kept(around, options, keeps_to_road=False)
     if found is None or kept is None:
         return kept if found is None else found
     motion = _collect_motions([found[:2]], refinement)[0]
-    meant, other = (int(expected.count_off_road(poses.T[:, None])[0]) for poses in (motion, kept))
+    meant, other = (float(expected.measure_off_road(poses.T[:, None])[0]) for poses in (motion, kept))
     return found if meant <= other else kept
 
 

@@ -11,10 +11,12 @@ from dataclasses import dataclass, replace
 from typing import Final, Self
 
 import numpy as np
+import shapely
+from shapely.geometry import MultiPolygon
 
 from benchmark.dynamics.bicycle import SimulatedMotion
 from benchmark.geometry import Bools, Floats, box_corners
-from benchmark.interactions.tracks import ContinuousTracks, Integers
+from benchmark.interactions.tracks import ContinuousTracks
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.extensions.reactive_adversary.careful_driver import CarefulDriverCheck
@@ -53,6 +55,7 @@ class AdversaryRules:
     """
 
     road: DrivableRaster
+    area: MultiPolygon
     from_frame: int
     careful: tuple[CarefulDriverCheck, ...]
     size: Floats
@@ -71,7 +74,9 @@ class AdversaryRules:
     ) -> Self:
         """Rules for an adversary at a (3,) pose; one that is off the road has some time to return to it."""
         for air_m in (_EDGE_M, 0.0):
-            known = cls(road, 0, tuple(careful), scene.agents.size[agent, :2], recorded, air_m)
+            known = cls(
+                road, scene.road_map.drivable_area, 0, tuple(careful), scene.agents.size[agent, :2], recorded, air_m
+            )
             if known.are_on_road(now[:, None, None])[0]:
                 return known
         return replace(known, from_frame=RETURN_FRAMES)
@@ -82,9 +87,15 @@ class AdversaryRules:
             return np.ones(columns.shape[1], np.bool_)
         return np.asarray(self._look(columns, self.from_frame).all(axis=1))
 
-    def count_off_road(self, columns: Floats) -> Integers:
-        """(P,) at how many of the frames that are looked at a corner is off the road, in the first 3 s; from now on."""
-        return np.asarray((~self._look(columns[:, :, : RETURN_FRAMES + 1], 0)).sum(axis=1))
+    def measure_off_road(self, columns: Floats) -> Floats:
+        """(P,) how many frames of the first 3 s, as they are looked at, are off the road; then how far it is at their end.
+
+        Metres count as parts of a frame.
+        """
+        first = columns[:, :, : RETURN_FRAMES + 1]
+        off = (~self._look(first, 0)).sum(axis=1)
+        away = shapely.distance(shapely.points(first[:2, :, -1].T), self.area)
+        return np.asarray(off + away / _MOST_M)
 
     def _look(self, columns: Floats, first: int) -> Bools:
         """(P, K) whether all corners are on the road, every 0.25 s from a frame on, and at the end."""
@@ -143,7 +154,7 @@ class AdversaryRules:
         kept &= self.are_fair(poses)
         if not kept.any():
             return None
-        off = self.count_off_road(poses.transpose(2, 0, 1))
+        off = self.measure_off_road(poses.transpose(2, 0, 1))
         return options[int(np.argmin(np.where(kept, off, np.inf)))]
 
     def find_clearest(self, around: SurroundingTracks, scene: Scene, frame: int, options: Sequence[Floats]) -> Floats:

@@ -13,6 +13,8 @@ from benchmark.road_map import Lane, RoadMap, as_multipolygon
 LANE_M: Final = 3.2
 """Width of the strip that a car's path stands for; a wider vehicle has `_AIR_M` on both sides."""
 _AIR_M: Final = 0.3
+_END_M: Final = 1.0
+"""Of road beyond the body where a path begins and ends."""
 _LEAST_MOTION_M: Final = 3.0
 """Who moves less is parked, and where it stands is no lane."""
 _SPACING_M: Final = 1.0
@@ -26,7 +28,7 @@ def estimate_road(paths: Sequence[tuple[str, Floats, Floats]], location: str = "
         line = _thin_path(poses)
         if line is None:
             continue
-        ahead = 0.5 * float(size[0])
+        ahead = 0.5 * float(size[0]) + _END_M
         ends = [line[0] - ahead * _direction(line[1] - line[0]), line[-1] + ahead * _direction(line[-1] - line[-2])]
         whole = LineString(np.concatenate([ends[:1], line, ends[1:]])).simplify(_SMOOTH_M)
         width = max(LANE_M, float(size[1]) + 2.0 * _AIR_M)
