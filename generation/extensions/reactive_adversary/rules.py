@@ -88,10 +88,7 @@ class AdversaryRules:
         return np.asarray(self._look(columns, self.from_frame).all(axis=1))
 
     def measure_off_road(self, columns: Floats) -> Floats:
-        """(P,) how many frames of the first 3 s, as they are looked at, are off the road; then how far it is at their end.
-
-        Metres count as parts of a frame.
-        """
+        """(P,) how many looked-at frames of the first 3 s are off the road; how far it is at their end decides ties."""
         first = columns[:, :, : RETURN_FRAMES + 1]
         off = (~self._look(first, 0)).sum(axis=1)
         away = shapely.distance(shapely.points(first[:2, :, -1].T), self.area)
