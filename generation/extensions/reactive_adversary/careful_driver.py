@@ -135,9 +135,11 @@ class CarefulDriverCheck:
         matters = (placed.beside <= near_enough).any(axis=1)
         # Bodies that are never near the ego's strip all change as little as one that is nowhere.
         rows = np.flatnonzero(matters)
-        ends = [np.append(end[rows].T, np.full((len(steps), 1), np.inf), axis=1) for end in (placed.rear, placed.front)]
-        beside = np.append(placed.beside[rows].T, np.full((len(steps), 1), np.inf), axis=1)
-        found = self._simulate(*ends, beside, near_enough)
+        rear, front, beside = (
+            np.append(column[rows].T, np.full((len(steps), 1), np.inf), axis=1)
+            for column in (placed.rear, placed.front, placed.beside)
+        )
+        found = self._simulate(rear, front, beside, near_enough)
         answers = np.repeat(found[-1:], len(matters))
         answers[rows] = found[:-1]
         return answers

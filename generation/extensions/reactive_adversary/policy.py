@@ -312,6 +312,7 @@ class ReactiveAdversary:
         candidates = [] if refinement is None else list_allowed(refinement, self.settings.hyper, steps, on_road=on_road)
         cached_ending = np.concatenate([memory.track[-1:], memory.ending])
         options = [*self._compute_brakings((0.0, *BRAKING_M_S2), around, memory), cached_ending]
+        chosen: tuple[int, int, Floats] | Floats | None
         if rules is not None:
             chosen = choose_by_rules(candidates, refinement, around, steps, rules, options)
             if chosen is None:
@@ -321,9 +322,10 @@ class ReactiveAdversary:
             if chosen is None:
                 # Brakes on the meant path, as gently as touches no other; or the ending kept; or the longest one.
                 chosen = around.find_longest(options)
-        if refinement is not None and isinstance(chosen, tuple):
-            return self._build_searched_motion(frame, steps, refinement, *chosen)
-        return self._build_braked_motion(frame, steps, chosen)
+        if not isinstance(chosen, tuple):
+            return self._build_braked_motion(frame, steps, chosen)
+        assert refinement is not None
+        return self._build_searched_motion(frame, steps, refinement, *chosen)
 
     def _build_searched_motion(
         self, frame: int, steps: int, refinement: Refinement, number: int, index: int, ending: Floats

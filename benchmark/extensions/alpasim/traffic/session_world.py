@@ -88,7 +88,7 @@ class SessionWorld:
         """Position and quaternion of the box of a road user at a time that is reached; ``None`` where it is not."""
         track, adversary = self.log.others[number], self.adversary
         own = adversary is not None and adversary.agent == number
-        driven = own and time_us > int(self.scene.timestamps_us[adversary.start])
+        driven = adversary is not None and own and time_us > int(self.scene.timestamps_us[adversary.start])
         if not (track.covers(time_us) or driven):
             return None
         if time_us <= self.log.handover_us or not (driven or (self.everybody_answers and not own)):
@@ -179,4 +179,4 @@ class SessionWorld:
         near = np.triu(apart <= reach[:, None] + reach, 1) & there[:, None] & there & (driven[:, None] | driven)
         first, second = np.nonzero(near)
         near[first, second] = boxes_overlap(everybody[first], everybody[second])
-        return near
+        return np.asarray(near)

@@ -33,13 +33,14 @@ def test_a_session_is_a_scene_with_its_adversary_and_opens_as_a_data_set(tmp_pat
         assert (
             (report["adversary"] is not None) == bool(report["decisions"]) == bool(scene.adversaries) == (name == "a")
         )
-        store.write(place_on_map(scene), report)
+        placed = place_on_map(scene)
+        store.write(placed, report)
     data = benchmark.open_data(str(tmp_path))
     assert data.scene_names("adv") == ("scene-2001",) and data.scene_names("val") == ("scene-2002",)
     stored = data.scene("scene-2001")
     assert len(stored.adversaries) == 1 and len(stored.agents) == 4 and stored.agents.position.min() > 0.0
     again = SessionStore(tmp_path)
-    again.write(place_on_map(scene), report)
+    again.write(placed, report)
     assert benchmark.open_data(str(tmp_path)).scene_names("val") == ("scene-2002", "scene-2003")
 
 
@@ -58,7 +59,7 @@ def test_sessions_that_cannot_be_kept_are_told(tmp_path: Path) -> None:
 
 def test_a_map_is_found_by_the_name_of_the_scene_wherever_the_session_has_its_origin() -> None:
     scene = road_scene()
-    find = find_map_in(FakeData({scene.name: scene}))  # type: ignore[arg-type]
+    find = find_map_in(FakeData({scene.name: scene}))
     frame = find(read_session(session_request(scene)))
     assert frame.road_map is scene.road_map
     poses = np.array([[3.0, 1.0, 0.2]])
@@ -75,7 +76,7 @@ def test_a_map_is_found_by_the_name_of_the_scene_wherever_the_session_has_its_or
 
 def test_maps_of_other_places_are_refused() -> None:
     scene = road_scene()
-    find = find_map_in(FakeData({scene.name: scene}))  # type: ignore[arg-type]
+    find = find_map_in(FakeData({scene.name: scene}))
     request = session_request(scene)
     for pose in request.logged_object_trajectories[0].trajectory.poses[5:]:
         pose.pose.vec.y += 9.0

@@ -104,8 +104,8 @@ DAMAGED: dict[str, Callable[[Any], None]] = {
     "too many": lambda request: setattr(
         request.logged_object_trajectories[1].trajectory.poses[-1], "timestamp_us", 10**15
     ),
-    "more than 1000": lambda request: (
-        [request.logged_object_trajectories.add(object_id=str(number)) for number in range(10_000)] and None
+    "more than 1000": lambda request: request.logged_object_trajectories.extend(
+        [build_message("ObjectTrajectory", object_id=str(number)) for number in range(10_000)]
     ),
 }
 
