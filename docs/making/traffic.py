@@ -29,7 +29,7 @@ from benchmark.runs.redriving import read_recorded_can
 from benchmark.scene import Scene
 
 PICTURE: Final = Path(__file__).resolve().parents[1] / "images" / "traffic.png"
-SCENE: Final = "scene-8000"
+SCENE: Final = "scene-8003"
 EGO_PLANNER: Final = "constant-velocity-on-path"
 HALF_M: Final = 32.0
 TRAIL: Final = 30
