@@ -48,6 +48,15 @@ def test_corners_stay_on_the_road_or_return_to_it_within_three_seconds() -> None
     assert outside.are_on_road(columns[:, :, ::-1]).tolist() == [True, True]
 
 
+def test_who_is_off_the_road_for_less_time_is_better_and_then_who_is_nearer_to_it() -> None:
+    scene = road()
+    starts = (drive(90.0, 198.25, 8.0), drive(90.0, 198.25, 8.0, yaw=-0.4), drive(90.0, 180.0, 8.0, yaw=0.1))
+    motions = np.stack([*starts, drive(90.0, 180.0, 8.0)]).transpose(2, 0, 1)
+    measured = rules_of(scene, starts[0]).measure_off_road(motions)
+    assert measured[0] == 0.0 and (np.diff(measured) > 0.0).all()
+    assert np.floor(measured[2]) == np.floor(measured[3]) == 13.0
+
+
 def test_an_ending_is_found_that_stays_on_the_road() -> None:
     """Going on at its speed leaves the road; of the brakes the first that do not are taken."""
     scene = road(Car(90.0, 198.25, 8.0), seconds=12.0)
