@@ -52,7 +52,7 @@ def test_who_is_off_the_road_for_less_time_is_better_and_then_who_is_nearer_to_i
     scene = road()
     starts = (drive(90.0, 198.25, 8.0), drive(90.0, 198.25, 8.0, yaw=-0.4), drive(90.0, 180.0, 8.0, yaw=0.1))
     motions = np.stack([*starts, drive(90.0, 180.0, 8.0)]).transpose(2, 0, 1)
-    measured = rules_of(scene, starts[0]).measure_off_road(motions)
+    measured = rules_of(scene, starts[0][0]).measure_off_road(motions)
     assert measured[0] == 0.0 and (np.diff(measured) > 0.0).all()
     assert np.floor(measured[2]) == np.floor(measured[3]) == 13.0
 
