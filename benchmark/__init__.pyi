@@ -74,7 +74,7 @@ from benchmark.extensions.exchange.exporting import export_scenarionet as export
 from benchmark.extensions.exchange.borrowed_names import export_nuscenes as export_nuscenes
 from benchmark.extensions.exchange.openscenario import export_openscenario as export_openscenario
 from benchmark.extensions.explain.pictures import explain as explain_protocols
-from benchmark.api.serving import serve_planner as serve_planner
+from benchmark.api.serving import serve_planner as serve_planner, serve_traffic as serve_traffic
 from benchmark.extensions.infos.exporting import InfoSettings as InfoSettings
 from benchmark.extensions.infos.exporting import export_infos as export_infos
 from benchmark.extensions.mcap.exporting import McapContents as McapContents

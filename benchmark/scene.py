@@ -85,10 +85,13 @@ class EgoTrack:
     Attributes:
         position: (T, 3) metres.
         rotation: (T, 4) quaternions.
+        length_m: Of the body, as is ``width_m``; another car's in other simulators alone.
     """
 
     position: Floats
     rotation: Floats
+    length_m: float = EGO_LENGTH_M
+    width_m: float = EGO_BODY_WIDTH_M
 
     @property
     def yaw(self) -> Floats:
@@ -105,7 +108,7 @@ class EgoTrack:
         """(T, 5) body boxes x, y, length, width, yaw (real body, not the metric footprint)."""
         yaw = self.yaw
         ahead = EGO_CENTER_FROM_REAR_AXLE_M * np.column_stack([np.cos(yaw), np.sin(yaw)])
-        size = np.broadcast_to([EGO_LENGTH_M, EGO_BODY_WIDTH_M], (len(yaw), 2))
+        size = np.broadcast_to([self.length_m, self.width_m], (len(yaw), 2))
         return np.column_stack([self.position[:, :2] + ahead, size, yaw])
 
 

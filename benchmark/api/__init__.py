@@ -45,5 +45,9 @@ from benchmark.api.presentation import (
     write_leaderboard as write_leaderboard,
     write_sheets as write_sheets,
 )
-from benchmark.api.serving import find_serving_protocol as find_serving_protocol, serve_planner as serve_planner
+from benchmark.api.serving import (
+    find_serving_protocol as find_serving_protocol,
+    serve_planner as serve_planner,
+    serve_traffic as serve_traffic,
+)
 from benchmark.api.verifying import verify as verify

@@ -61,13 +61,14 @@ def drive_settings(
         split: The split; generated ones have pictures in a style of their own.
         engine: ``default``, ``neuroncap@code`` or ``neuroncap@paper``, with departures as its switches are named.
         agents: ``replay``, ``idm``, or ``adversary``, which the search of open loop plans anew while the ego drives
-            (docs/extensions/reactive_adversary.md); NeuroNCAP's never react. By default ``idm`` on ``adv``, where
+            (docs/extensions/reactive_adversary.md), or ``grpc://HOST:PORT``, a TrafficService
+            (docs/extensions/alpasim.md); NeuroNCAP's never react. By default ``idm`` on ``adv``, where
             adversaries keep their tracks, else ``replay``.
         window: ``encounter`` drives adversarial scenes from 3 s before their adversaries depart until these are gone,
             ``scene`` drives all of them. ``encounter`` by default on ``adv`` in the default engine, unless the agents
             are ``adversary``.
-        adversary_knows: What it expects of the ego: ``plan``, ``motion`` (that it keeps its speed and its turn), or
-            ``nothing``.
+        adversary_knows: What it expects of the ego: ``plan``, ``motion`` (that it keeps its speed on its route),
+            ``motion-only`` (that it keeps its speed and its turn), or ``nothing``.
         adversary_every_s: Seconds between its plans.
         adversary_others: All other agents beside an adversary: ``replay`` or ``idm``.
         adversary_rounds: Refinement rounds of its search; those of open loop by default.
@@ -104,6 +105,7 @@ def drive_settings(
     from benchmark.closed_loop.engines import is_scenario_file, make_backend
     from benchmark.closed_loop.world_state import ENGINE
     from benchmark.interactions.driver_simulation import REFERENCE_DRIVER_KINDS
+    from benchmark.machine.address import is_address
     from benchmark.machine.extension import import_from_extension
     from benchmark.machine.workers import LocalProcesses
     from benchmark.records.drive_schema import OF_FILE
@@ -113,11 +115,13 @@ def drive_settings(
     if plan_hz not in (2, 10) or (plan_hz != 2 and engine != ENGINE):
         raise InputError(f"--plan-hz {plan_hz} needs --engine default, and is 2 or 10; leave it out")
     adversarial = is_adversarial(split) if adversarial is None else adversarial
+    remote = agents if agents is not None and is_address(agents) else None
+    agents = ADVERSARY if remote is not None else agents
     agents, window = choose_world(engine, agents, window, adversarial=adversarial)
     drivers = [driver.value for driver in REFERENCE_DRIVER_KINDS]
     if ladder is not None and (strange := [name for name in ladder if name not in drivers]):
         raise InputError(f"unknown reference driver {strange[0]!r}; choose from {', '.join(drivers)}")
-    if keep_considered and (agents != ADVERSARY or adversary_tracks is not None):
+    if keep_considered and (agents != ADVERSARY or adversary_tracks is not None or remote is not None):
         raise InputError(
             "--keep-considered needs an adversary that plans; add --agents adversary, and leave --adversary-tracks out"
         )
@@ -126,6 +130,8 @@ def drive_settings(
         if agents != ADVERSARY:
             raise InputError("--adversary-tracks needs an adversary; add --agents adversary")
         pursuit, runs = _given_tracks(adversary_tracks, split)
+    elif remote is not None and engine == ENGINE:
+        pursuit = import_from_extension("agents scheme", "grpc")(remote)
     elif agents == ADVERSARY and engine == ENGINE:
         pursuit = import_from_extension("agents", ADVERSARY)(
             knows=adversary_knows,

@@ -79,16 +79,20 @@ class DriveOptions:
         Option("Of adversarial scenes: from 3 s before the adversary departs (the default), or all.", "Search"),
     ] = None
     agents: Annotated[
-        Literal["replay", "idm", "adversary"] | None,
+        str | None,
         Option(
-            "The others: their tracks, keeping distance (adversaries do not; default of adversarial scenes), or one of "
-            "them challenges the ego.",
+            "The others: replay (their tracks), idm (they keep distance, adversaries do not; default of adversarial "
+            "scenes), adversary (one of them challenges the ego), or traffic at grpc://HOST:PORT.",
             "Search",
+            metavar="[replay|idm|adversary|grpc://HOST:PORT]",
         ),
     ] = None
     adversary_knows: Annotated[
-        Literal["plan", "motion", "nothing"],
-        Option("adversary: expects that the ego drives its plan, keeps its motion, or stays.", "Search"),
+        Literal["plan", "motion", "motion-only", "nothing"],
+        Option(
+            "adversary: expects that the ego drives its plan, keeps its motion (on its route, or only), or stays.",
+            "Search",
+        ),
     ] = "motion"
     latency: Annotated[int, Option("Delay before a plan takes effect, ms.", "Search", min=0)] = 0
     plan_hz: Annotated[
@@ -206,7 +210,7 @@ def drive_command(options: DriveOptions) -> None:
             data,
             [*taken.ahead],
             lambda split, adversarial: _settings(options, split, scenes, place, adversarial=adversarial),
-            paired=options.engine == "default" and options.agents != "adversary",
+            paired=options.engine == "default" and options.agents in (None, "replay", "idm"),
         )
     ]
     if options.dry_run:

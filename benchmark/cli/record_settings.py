@@ -46,7 +46,7 @@ def read_drive_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
         "split": [*([windows_of["split"]] if windows_of else []), members["split"]],
         "baselines": False,
         "engine": measured["engine"],
-        "agents": measured["agents"],
+        "agents": facts.get("address", measured["agents"]) if "traffic" in facts else measured["agents"],
         "window": measured.get("window", "scene"),
         "plan_hz": str(measured.get("plan_hz", 2)),
         "sensor": sensor if sensor in ("none", "schematic") else None,

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.closed_loop.agent_policy import AgentMotion, AgentPolicy, TrafficSnapshot
-from benchmark.closed_loop.plan_tracking import INSTANT_US, INSTANTS
+from benchmark.closed_loop.plan_tracking import INSTANT_US, INSTANTS, SUBSTEP_US
 from benchmark.errors import InputError
-from benchmark.geometry import Floats, wrap_angle
+from benchmark.geometry import Floats, poses_between, wrap_angle
 from benchmark.scene import Scene
 
 ADVERSARY: Final = "adversary"
@@ -43,12 +43,17 @@ class Replanning:
 
 @dataclass(frozen=True, slots=True)
 class AdversaryTrack:
-    """(F, 3) poses of an adversary's box centre from the frame ``start`` on; ``agent`` is its index in the scene."""
+    """(F, 3) poses of an adversary's box centre from the frame ``start`` on; ``agent`` is its index in the scene.
+
+    ``traffic`` are agents who left their recordings where another simulator's traffic drove: index, number of the step
+    of 0.1 s from which on, and (K, 3) poses after each, NaN where one is gone.
+    """
 
     agent: int
     start: int
     poses: Floats
     replanned: tuple[Replanning, ...] = ()
+    traffic: tuple[tuple[int, int, Floats], ...] = ()
 
 
 @runtime_checkable
@@ -220,7 +225,53 @@ class ScriptedTracks:
             raise InputError(
                 f"the track of the adversary in {scene.name}, run {run}, does not match the scene; drive it again"
             )
+        if track.traffic:
+            return ScriptedTraffic(others(track.agent), track, start_us)
         return ScriptedAdversary(others(track.agent), Handover.of(scene, track.agent, track.start), track)
+
+
+@dataclass(frozen=True, slots=True)
+class ScriptedTraffic:
+    """Traffic of another simulator driven again: who left the recordings, every 0.1 s, the others as they do."""
+
+    others: AgentPolicy[Any]
+    track: AdversaryTrack
+    start_us: int
+    name: str = ADVERSARY
+    draws: bool = False
+
+    def init(self, time_us: int, key: int) -> tuple[Any, AgentMotion]:
+        """All agents where the others have them."""
+        return self.others.init(time_us, key)
+
+    def act(self, memory: Any, moment: TrafficSnapshot, key: int) -> tuple[Any, AgentMotion]:
+        """The next 0.1 s."""
+        memory, moved = self.others.act(memory, moment, key)
+        step = (moment.time_us - self.start_us) // SUBSTEP_US
+        driven = {
+            agent: poses[step - first]
+            for agent, first, poses in self.track.traffic
+            if first <= step < first + len(poses)
+        }
+        return memory, place_traffic(moved, moment, driven)
+
+    def adversary(self, memory: Any) -> AdversaryTrack:
+        """The track that was passed in."""
+        return self.track
+
+
+def place_traffic(moved: AgentMotion, moment: TrafficSnapshot, driven: Mapping[int, Floats]) -> AgentMotion:
+    """The motion of 0.1 s with some agents at (3,) poses after it, NaN where they are gone; half-way in between."""
+    boxes, present, velocity = moved.boxes.copy(), moved.present.copy(), moved.velocity.copy()
+    for agent, pose in driven.items():
+        there = bool(np.isfinite(pose).all())
+        present[:, agent] = there
+        if there:
+            before = moment.boxes[agent, [0, 1, 4]] if moment.present[agent] else pose
+            boxes[0, agent, [0, 1, 4]] = poses_between(before, pose, np.array(0.5))
+            boxes[1, agent, [0, 1, 4]] = pose
+            velocity[agent] = (pose[:2] - before[:2]) / (SUBSTEP_US / 1e6)
+    return AgentMotion(boxes, present, velocity)
 
 
 def round_poses(poses: Floats) -> Floats:

@@ -105,6 +105,7 @@ class TrafficSnapshot:
         present: (N,) which are there.
         velocity: (N, 2) m/s.
         plan: The ego's plan in force, for policies that are allowed to know it; ``None`` before there is any.
+        ego_after: (5,) the ego's box 0.1 s later, which the contract of other simulators' traffic tells; or ``None``.
     """
 
     time_us: int
@@ -114,6 +115,7 @@ class TrafficSnapshot:
     present: Bools
     velocity: Floats
     plan: ActivePlan | None = None
+    ego_after: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -149,7 +149,7 @@ class DefaultBackend:
         start_us, over_us, end_us = (int(scene.timestamps_us[scene.keyframes[at]]) for at in (first, last, -1))
         return build_simulation_config(
             scene,
-            policy=self._agents(scene, run, start_us, end_us),
+            policy=self.build_agents(scene, run, start_us, end_us),
             keyframe=first,
             duration_s=(over_us - start_us) * 1e-6,
             seed=run,
@@ -165,7 +165,8 @@ class DefaultBackend:
             raise InputError(f"the window of {window.of} does not fit {scene.name}; run the same drive again")
         return window.start, window.end
 
-    def _agents(self, scene: Scene, run: int, start_us: int, end_us: int) -> AgentPolicy[Any]:
+    def build_agents(self, scene: Scene, run: int, start_us: int, end_us: int) -> AgentPolicy[Any]:
+        """Policy of everybody but the ego; raises `InputError` where there should be an adversary and is none."""
         if self.agents != ADVERSARY:
             kept = () if self.window is None else self.window.adversaries
             on_track = tuple(scene.agents.ids.index(name) for name in kept)

@@ -60,7 +60,7 @@ def _run_driver(course: SimulationConfig, situation: DrivingSituation, driver: D
             (motion,) = advancing.collect_motions()
         assert motion is not None
         egos = _compute_ego_boxes(situation, motion, step)
-        memory, moved = course.policy.act(memory, moment, 0)
+        memory, moved = course.policy.act(memory, replace(moment, ego_after=egos[-1]), 0)
         touched = _find_first_contact(course, world, egos, moved, moment.time_us, float(motion.speed[step + 1]))
         if touched is not None:
             return _build_outcome(touched, course.start_us)

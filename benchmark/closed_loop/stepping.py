@@ -182,12 +182,13 @@ def _step_agents(
         row = INSTANTS * place
         # Making a key costs as much as replaying a sub-step.
         key = content_seed(course.seed, course.scene, world.step, number) if course.policy.draws else 0
-        memory, moved = course.policy.act(memory, replace(others, plan=_find_active_plan(plans, others.time_us)), key)
+        end = row + INSTANTS
+        known = replace(others, plan=_find_active_plan(plans, others.time_us), ego_after=own[end])
+        memory, moved = course.policy.act(memory, known, key)
         there = _remove_agents(moved.present, removed)
         boxes.append(moved.boxes)
         present.append(there)
         velocities.append(moved.velocity)
-        end = row + INSTANTS
         time = world.time_us + (place + 1) * SUBSTEP_US
         others = TrafficSnapshot(time, own[end], float(egos[end, 3]), moved.boxes[-1], there[-1], moved.velocity)
     trace = StepTrace(egos, np.concatenate(boxes), np.concatenate(present))

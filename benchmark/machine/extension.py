@@ -45,6 +45,8 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     },
     # From settings to a `closed_loop.adversary.AdversaryFactory`.
     "agents": {"adversary": "generation.extensions.reactive_adversary.adversary_maker:build_reactive_adversary_maker"},
+    # From an address to the same; by scheme.
+    "agents scheme": {"grpc": "benchmark.extensions.alpasim.traffic.client:build_remote_traffic"},
     # From a scene and a `closed_loop.episodes.Episode` in it to parts of further scores, by the name of their column.
     "drive score": {"alpasim": "benchmark.extensions.alpasim_score.drives:score_by_alpasim"},
     # A `benchmark.planning.Planner` by name, with its options.
@@ -58,6 +60,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     "protocol": {
         "neuroncap": "benchmark.extensions.http:describe_protocol",
         "alpasim": "benchmark.extensions.alpasim:describe_protocol",
+        "alpasim-traffic": "benchmark.extensions.alpasim:describe_traffic_protocol",
     },
     "sensor": {"http": "benchmark.extensions.http.sensor:HttpSensor"},
     # From the options of ``generate`` and its own to a `generation.render.contract.RendererSource`.
@@ -69,6 +72,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "planner grpc": "benchmark.extensions.alpasim.cli:EgodriverOptions",
         "protocol neuroncap": "benchmark.extensions.http.cli:NeuroncapServeOptions",
         "protocol alpasim": "benchmark.extensions.alpasim.cli:AlpasimServeOptions",
+        "protocol alpasim-traffic": "benchmark.extensions.alpasim.cli:AlpasimTrafficOptions",
     },
     # Parts of the search for adversaries that presets ask for.
     "search": {
@@ -129,8 +133,8 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "import-123d": "generation.extensions.logs123d.verification:GOLDEN",
         "neuroncap": "benchmark.extensions.neuroncap.verification:GOLDEN",
         "alpasim sessions": "benchmark.extensions.alpasim.verification:SESSIONS",
-        "alpasim traffic": "benchmark.extensions.alpasim.verification:TRAFFIC",
-        "alpasim reactions": "benchmark.extensions.alpasim.verification:REACTIONS",
+        "alpasim traffic": "benchmark.extensions.alpasim.traffic.verification:SESSIONS",
+        "alpasim reactions": "benchmark.extensions.alpasim.traffic.verification:REACTIONS",
         "ability alpasim": "benchmark.extensions.alpasim_table.verification:GOLDEN",
         "ability alpasim-refused": "benchmark.extensions.alpasim_table.verification:REFUSED",
         "alpasim score": "benchmark.extensions.alpasim_score.verification:GOLDEN",

@@ -1,10 +1,10 @@
-"""Servers of planners: their protocols, and addresses, reachable from this machine only by default."""
+"""Servers of planners and of traffic: their protocols, and addresses, reachable from this machine only by default."""
 
 import socket
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Final, Protocol, Self
+from typing import Any, Final, Literal, Protocol, Self
 
 from benchmark.errors import InputError
 
@@ -13,7 +13,7 @@ _BACKLOG: Final = 128
 
 
 class PlannerService(Protocol):
-    """A server of a planner that listens at an address; ``with`` answers in a thread."""
+    """A server that listens at an address; ``with`` answers in a thread."""
 
     host: str
     port: int
@@ -53,6 +53,7 @@ class ServingProtocol:
         manner: How scenes are served, for people.
         packages: Packages that it needs, of the ``extra``.
         find_address: Host and port from those that were given.
+        serves: A planner; or traffic, whose ``make`` is given a maker of adversaries in place of the planner's.
     """
 
     make: Callable[..., Any]
@@ -60,6 +61,7 @@ class ServingProtocol:
     packages: tuple[str, ...]
     extra: str
     find_address: Callable[[str | None, int | None], tuple[str, int]] = _choose_address
+    serves: Literal["planner", "traffic"] = "planner"
 
 
 def is_open_address(host: str) -> bool:

@@ -273,6 +273,20 @@ class TickRows(Stored):
     station: list[float]
 
 
+class TrafficTrack(Stored):
+    """An agent in another simulator's traffic.
+
+    Attributes:
+        agent: Its index in the scene.
+        first: Number of steps of the drive before it left its recording.
+        poses: x, y and yaw of its box centre after each 0.1 s from then on, null where it is gone.
+    """
+
+    agent: Annotated[int, Field(ge=0)]
+    first: Annotated[int, Field(ge=0)]
+    poses: list[Annotated[list[float], Field(min_length=3, max_length=3)] | None]
+
+
 class AdversaryRow(Stored):
     """Track of an adversary (`benchmark.closed_loop.adversary.AdversaryTrack`).
 
@@ -283,6 +297,7 @@ class AdversaryRow(Stored):
     Attributes:
         agent: Its index in the scene.
         uuid: Its instance identifier.
+        traffic: Agents that left their recordings in another simulator's traffic. Not written where there are none.
     """
 
     agent: Annotated[int, Field(ge=0)]
@@ -291,6 +306,11 @@ class AdversaryRow(Stored):
     poses: list[Annotated[list[float], Field(min_length=3, max_length=3)]]
     replanned: list[int] = Field(default_factory=list)
     scores: list[float | None] = Field(default_factory=list)
+    traffic: list[TrafficTrack] = Field(default_factory=list)
+
+    @model_serializer(mode="wrap")
+    def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return _without_empty(write(self), "traffic")
 
 
 @dataclass(frozen=True, slots=True)

@@ -111,6 +111,14 @@ def encode_adversary_track(stage: EpisodeSpec, track: AdversaryTrack) -> dict[st
         "poses": track.poses.tolist(),
         "replanned": [planning.frame for planning in track.replanned],
         "scores": scores,
+        "traffic": [
+            {
+                "agent": agent,
+                "first": first,
+                "poses": [None if np.isnan(pose).any() else pose for pose in poses.tolist()],
+            }
+            for agent, first, poses in track.traffic
+        ],
     }
 
 
@@ -127,7 +135,11 @@ def decode_adversary_track(row: EpisodeRow) -> AdversaryTrack | None:
     replanned = tuple(
         Replanning(frame, score, braked=score is None) for frame, score in zip(stored.replanned, stored.scores)
     )
-    return AdversaryTrack(stored.agent, stored.start, np.array(stored.poses).reshape(-1, 3), replanned)
+    gone = [np.nan] * 3
+    traffic = tuple(
+        (driven.agent, driven.first, np.array([pose or gone for pose in driven.poses])) for driven in stored.traffic
+    )
+    return AdversaryTrack(stored.agent, stored.start, np.array(stored.poses).reshape(-1, 3), replanned, traffic)
 
 
 def _score_row(drive: Episode, scores: EpisodeScores) -> dict[str, Any]:

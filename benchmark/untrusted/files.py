@@ -108,6 +108,8 @@ GRPC_MESSAGE: Final = Limits("message over gRPC", 4 * MIB, depth=16, values=100_
 """Of a simulator or a policy: 8 s of poses every 0.01 s, six times, have 60,000 fields."""
 GRPC_PICTURE: Final = replace(GRPC_MESSAGE, what="message with a picture", file_bytes=16 * MIB)
 """A PNG of 1600 x 900 has 2 to 4 MB."""
+GRPC_SESSION: Final = replace(GRPC_MESSAGE, what="start of a session", file_bytes=64 * MIB, values=4_000_000)
+"""Tracks of all road users of a recording: 300 of them for 20 s have 700,000 fields."""
 RECORDING_S: Final = 3600.0
 """Seconds of one imported recording, for any step."""
 RECORDED_OBJECTS: Final = 5000

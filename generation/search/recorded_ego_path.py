@@ -66,7 +66,7 @@ class RecordedEgoPath:
         low, high = np.searchsorted(self.stations, [self.station[first] - BACK_M, self.station[last] + ON_M])
         window = slice(int(low), int(high))
         points, headings = self.points[window], self.headings[window]
-        _, nearest = cKDTree(points).query(poses[..., :2])
+        _, nearest = _get_tree(self, int(low), int(high)).query(poses[..., :2])
         cos, sin = np.cos(headings[nearest]), np.sin(headings[nearest])
         away = poses[..., :2] - points[nearest]
         station = self.stations[window][nearest] + cos * away[..., 0] + sin * away[..., 1]
@@ -74,6 +74,7 @@ class RecordedEgoPath:
         return station, offset, wrap_angle(poses[..., 2] - headings[nearest])
 
 
+_get_tree: Final = IdentityCache[RecordedEgoPath, cKDTree](lambda way, low, high: cKDTree(way.points[low:high]), kept=4)
 get_ego_path: Final = IdentityCache[Scene, RecordedEgoPath](RecordedEgoPath.of, kept=2)
 """`RecordedEgoPath.of`, which several terms of a search ask for."""
 

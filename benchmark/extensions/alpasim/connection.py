@@ -1,4 +1,4 @@
-"""Calls of the egodriver service over gRPC: bytes in and out, a deadline on each, failures as a closed list.
+"""Calls of AlpaSim's services over gRPC: bytes in and out, a deadline on each, failures as a closed list.
 
 No answer, or a connection lost half-way, is `PlannerAwayError`; a late answer `PlannerLateError`; another kind of
 server `PlannerGoneError`; an error of the policy `ModelFailedError`. Calls are never repeated.
@@ -22,10 +22,10 @@ Metadata = Sequence[tuple[str, str]]
 
 
 class EgodriverConnection:
-    """A channel to one address, named ``what`` in messages; made at the first call."""
+    """A channel to one address, named ``what`` in messages; made at the first call. Paths begin with ``prefix``."""
 
-    def __init__(self, url: str, what: str, deadline_s: float) -> None:
-        self.url, self.deadline_s = url, deadline_s
+    def __init__(self, url: str, what: str, deadline_s: float, prefix: str = EGODRIVER) -> None:
+        self.url, self.deadline_s, self._prefix = url, deadline_s, prefix
         self._where = f"{what} at {url}"
         self._channel: grpc.Channel | None = None
 
@@ -43,7 +43,7 @@ class EgodriverConnection:
         channel, waiting = self._open(), []
         for method, message in calls:
             # Requests and answers are bytes, so that what comes in is bounded before it is decoded.
-            send = channel.unary_unary(EGODRIVER + method, request_serializer=None, response_deserializer=None)
+            send = channel.unary_unary(self._prefix + method, request_serializer=None, response_deserializer=None)
             try:
                 waiting.append(send.future(encode_message(message), timeout=seconds, metadata=tuple(metadata)))
             except ValueError as error:
@@ -69,7 +69,7 @@ class EgodriverConnection:
         except grpc.FutureTimeoutError:
             self.close()
             raise PlannerAwayError(
-                f"nobody answers at {self.url}; start the policy's container there, then the same command again"
+                f"nobody answers at {self.url}; start it there, then the same command again"
             ) from None
 
     def close(self) -> None:
@@ -94,7 +94,7 @@ class EgodriverConnection:
 
     def _decode(self, method: str, data: bytes) -> Any:
         try:
-            return decode_message(METHODS[EGODRIVER + method][1], data, GRPC_MESSAGE)
+            return decode_message(METHODS[self._prefix + method][1], data, GRPC_MESSAGE)
         except ValueError as error:
             raise ModelFailedError(f"{self._where} answered {method} with what cannot be read: {error}") from error
 
@@ -112,7 +112,10 @@ class EgodriverConnection:
                 "command again: finished work is kept"
             )
         if code is grpc.StatusCode.UNIMPLEMENTED:
-            return PlannerGoneError(f"{self._where} has no {method}; it is not an egodriver service; check the address")
+            return PlannerGoneError(
+                f"{self._where} has no {method}; it is no {self._prefix[1:].partition('.')[0]} service; check the "
+                "address"
+            )
         if code is grpc.StatusCode.NOT_FOUND and method not in ("start_session", "close_session"):
             return PlannerAwayError(f"{self._where} has lost its session ({said}): it was started again")
         return ModelFailedError(f"{self._where} failed at {method} (gRPC error {code.name}): {said}{_advise(code)}")

@@ -107,6 +107,7 @@ METHODS: Final[Mapping[str, tuple[str, str]]] = {
 }
 """Request and answer of each call, by its path."""
 EGODRIVER: Final = "/egodriver.EgodriverService/"
+TRAFFIC: Final = "/traffic.TrafficService/"
 _PACKAGE: Final = "challenger_bench.alpasim"
 
 

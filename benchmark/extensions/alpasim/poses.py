@@ -59,9 +59,13 @@ class LocalFrame:
     origin: Floats
     first_us: int
 
+    def to_local_us(self, time_us: Any) -> Any:
+        """Times in it."""
+        return time_us - self.first_us + SECOND_US
+
     def to_local(self, poses: Poses) -> Poses:
         """Global poses in it."""
-        times = poses.times_us - self.first_us + SECOND_US
+        times = self.to_local_us(poses.times_us)
         return Poses(times, poses.position - self.origin, poses.rotation)
 
 

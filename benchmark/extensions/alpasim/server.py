@@ -1,24 +1,25 @@
-"""gRPC server of an egodriver service, on this machine alone by default: bounded messages, errors as sentences."""
+"""gRPC server of a service of AlpaSim's, on this machine alone by default: bounded messages, errors as sentences."""
 
 import os
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from types import FrameType, TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final, Protocol, Self
 
 import grpc
 
 from benchmark.errors import InputError
 from benchmark.extensions.alpasim.connection import CONTRACT
 from benchmark.extensions.alpasim.messages import EGODRIVER, METHODS
-from benchmark.extensions.alpasim.session import CallRefusedError, EgodriverService
+from benchmark.extensions.alpasim.session import EgodriverService
+from benchmark.extensions.alpasim.sessions import CallRefusedError
 from benchmark.machine.address import parse_renaming
 from benchmark.machine.listening import LOOPBACK, is_open_address
 from benchmark.planning import Planner
-from benchmark.untrusted.files import GRPC_PICTURE, to_one_line
+from benchmark.untrusted.files import GRPC_PICTURE, Limits, to_one_line
 
 PORT: Final = 6789
 _HOST_VARIABLE, _PORT_VARIABLE = "ALPASIM_DRIVER_HOST", "ALPASIM_DRIVER_PORT"
@@ -27,23 +28,30 @@ _THREADS: Final = 16
 _CALLS: Final = 64
 """So many are in memory at once; what is more is refused."""
 _ENDS_S: Final = 3.0
-_OPTIONS: Final = (
-    ("grpc.max_receive_message_length", GRPC_PICTURE.file_bytes),
-    ("grpc.max_metadata_size", 16 * 1024),
-    ("grpc.so_reuseport", 0),
-)
+_OPTIONS: Final = (("grpc.max_metadata_size", 16 * 1024), ("grpc.so_reuseport", 0))
+
+
+class GrpcService(Protocol):
+    """A service of AlpaSim's whose paths begin with ``prefix``."""
+
+    @property
+    def prefix(self) -> str:
+        """As above."""
+
+    def call(self, path: str, data: bytes, metadata: Mapping[str, str]) -> bytes:
+        """The answer to a call; raises `CallRefusedError`."""
 
 
 class _Calls(grpc.GenericRpcHandler):  # type: ignore[misc, unused-ignore]
     """Handlers of the service's calls, from bytes to bytes: what cannot be read is an answer, and no traceback."""
 
-    def __init__(self, service: EgodriverService) -> None:
+    def __init__(self, service: GrpcService) -> None:
         self._service = service
         self._shown: set[tuple[str, str]] = set()
 
     def service(self, details: Any) -> Any:
         path = details.method
-        if path not in METHODS or not path.startswith(EGODRIVER):
+        if path not in METHODS or not path.startswith(self._service.prefix):
             return None
 
         def answer(data: bytes, context: Any) -> bytes:
@@ -64,7 +72,7 @@ class _Calls(grpc.GenericRpcHandler):  # type: ignore[misc, unused-ignore]
         if refused.code == "INTERNAL" or kind in self._shown:
             return
         self._shown.add(kind)
-        name = path.removeprefix(EGODRIVER)
+        name = path.removeprefix(self._service.prefix)
         print(
             f"refused {name} ({refused.code}): {to_one_line(refused, 300)}; more of this kind are not shown",
             file=sys.stderr,
@@ -72,16 +80,23 @@ class _Calls(grpc.GenericRpcHandler):  # type: ignore[misc, unused-ignore]
         )
 
 
-class EgodriverServer:
+class GrpcServer:
     """Serves a service, here (`serve`) or in threads (``with``)."""
 
-    def __init__(self, service: EgodriverService, host: str = LOOPBACK, port: int = 0) -> None:
+    def __init__(
+        self,
+        service: GrpcService,
+        host: str = LOOPBACK,
+        port: int = 0,
+        limits: Limits = GRPC_PICTURE,
+        at_end: Callable[[], None] = lambda: None,
+    ) -> None:
         """Listen; requests are answered once it serves."""
-        self.host = host
+        self.host, self._at_end = host, at_end
         self._server = grpc.server(
             ThreadPoolExecutor(_THREADS, thread_name_prefix="egodriver"),
             handlers=(_Calls(service),),
-            options=_OPTIONS,
+            options=(*_OPTIONS, ("grpc.max_receive_message_length", limits.file_bytes)),
             maximum_concurrent_rpcs=_CALLS,
         )
         try:
@@ -118,6 +133,7 @@ class EgodriverServer:
     def close(self) -> None:
         """Stop listening; calls under way have some seconds."""
         self._server.stop(_ENDS_S).wait()
+        self._at_end()
 
     def __enter__(self) -> Self:
         self._server.start()
@@ -141,11 +157,11 @@ def find_address(host: str | None, port: int | None) -> tuple[str, int]:
 
 def make_planner_server(
     build: Callable[[], Planner], host: str, port: int, *, seed: int, wants_images: bool, cameras: str = ""
-) -> EgodriverServer:
+) -> GrpcServer:
     """A server that listens; ``cameras`` are the simulator's names of ours, ``CAM_FRONT=camera_front_wide,...``."""
     theirs = {other: name for name, other in parse_renaming(cameras, "--cameras").items()}
     service = EgodriverService(build, cameras=theirs, wants_images=wants_images, seed=seed)
     index, count = (os.environ.get(variable) for variable in _REPLICA_VARIABLES)
     if index is not None and count is not None:
         print(f"replica {to_one_line(index, 20)} of {to_one_line(count, 20)}", file=sys.stderr, flush=True)
-    return EgodriverServer(service, host, port)
+    return GrpcServer(service, host, port)

@@ -7,7 +7,6 @@ again from where the car is. ``renderer_data`` and the recorded future, where a 
 
 import sys
 import threading
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -30,6 +29,7 @@ from benchmark.extensions.alpasim.poses import (
     derive_states,
     encode_trajectory,
 )
+from benchmark.extensions.alpasim.sessions import CallRefusedError, SessionTable
 from benchmark.geometry import Floats, quaternion_from_yaw, rotation_matrix, transform_matrix, yaw_of_quaternion
 from benchmark.machine.storage import content_seed, make_token
 from benchmark.pdm.plan_motion import plan_to_poses
@@ -40,12 +40,8 @@ from benchmark.untrusted.files import GRPC_MESSAGE, GRPC_PICTURE, to_one_line
 from benchmark.untrusted.http_images import decode_image
 
 API_VERSION: Final = {"major": 0, "minor": 54, "patch": 0}
-MOST_SESSIONS: Final = 16
-_IDLE_S: Final = 120.0
-"""A session without a call for so long makes room for another."""
 _MOST_CAMERAS: Final = 32
 _MOST_POSES: Final = 1024
-_LONGEST_UUID: Final = 200
 _PLAN_US: Final = 500_000
 _JITTER_US: Final = 1000
 _MOVES_M_S: Final = 0.1
@@ -55,14 +51,6 @@ SCENE: Final = "over-grpc"
 """Name of every scene: a planner that draws by its name must not depend on which it is."""
 _LIDAR: Final = LidarMount(np.array([LIDAR_FROM_REAR_AXLE_M, 0.0, 1.84]), quaternion_from_yaw(np.array(-np.pi / 2)))
 """nuScenes' place of a sensor that is not on the wire; some networks reckon from there."""
-
-
-class CallRefusedError(Exception):
-    """A call that is answered with an error: the name of a status of gRPC, and a sentence."""
-
-    def __init__(self, code: str, sentence: str) -> None:
-        super().__init__(sentence)
-        self.code = code
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +71,6 @@ class _Session:
     seed: int
     cameras: dict[str, tuple[str, RemoteCamera] | None]
     lock: threading.Lock = field(default_factory=threading.Lock)
-    asked: float = field(default_factory=time.monotonic)
     pictures: dict[str, tuple[int, bytes]] = field(default_factory=dict)
     poses: Poses = field(default_factory=lambda: Poses(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 4))))
     motion: Floats = field(default_factory=lambda: np.zeros((0, 7)))
@@ -99,6 +86,8 @@ class EgodriverService:
     that ``wants_images`` gives an empty trajectory until there is a picture of each of nuScenes' cameras.
     """
 
+    prefix: Final = EGODRIVER
+
     def __init__(
         self, build: Callable[[], Planner], *, cameras: Mapping[str, str], wants_images: bool = False, seed: int = 0
     ) -> None:
@@ -106,8 +95,8 @@ class EgodriverService:
         self._build, self._renamed, self._wants_images, self._seed = build, dict(cameras), wants_images, seed
         self._free = [build()]
         self.name = self._free[0].name
-        self._sessions: dict[str, _Session] = {}
-        self._lock, self._planning = threading.Lock(), threading.Lock()
+        self._sessions: SessionTable[_Session] = SessionTable(self._take_back)
+        self._planning = threading.Lock()
         self._calls: dict[str, Callable[[Any, Mapping[str, str]], Any]] = {
             "start_session": self._start,
             "close_session": self._close,
@@ -136,22 +125,18 @@ class EgodriverService:
         )
 
     def _start(self, request: Any, metadata: Mapping[str, str]) -> Any:
-        uuid = request.session_uuid
-        if len(uuid) > _LONGEST_UUID:
-            raise CallRefusedError("INVALID_ARGUMENT", f"session_uuid has more than {_LONGEST_UUID} characters")
         cameras = self._read_cameras(request, body=metadata.get(CONTRACT) == "1")
-        with self._lock:
-            if uuid in self._sessions:
-                raise CallRefusedError("ALREADY_EXISTS", f"session {uuid} was begun already")
-            self._make_room()
-            planner = self._free.pop() if self._free else self._build()
-            session = self._sessions[uuid] = _Session(planner, request.random_seed, cameras)
+
+        def begin() -> _Session:
+            return _Session(self._free.pop() if self._free else self._build(), request.random_seed, cameras)
+
+        session = self._sessions.add(request.session_uuid, begin)
         try:
             with self._planning:
                 seed_everything(content_seed(self._seed, session.seed), session.planner)
                 session.planner.reset(SceneInfo(SCENE, "", ()))
         except FAILURES as error:
-            self._forget(uuid)
+            self._sessions.close(request.session_uuid)
             raise self._report("reset", error) from error
         return build_message("SessionRequestStatus")
 
@@ -180,40 +165,22 @@ class EgodriverService:
             )
         return cameras
 
-    def _make_room(self) -> None:
-        if len(self._sessions) < MOST_SESSIONS:
-            return
-        oldest = min(self._sessions, key=lambda uuid: self._sessions[uuid].asked)
-        if time.monotonic() - self._sessions[oldest].asked < _IDLE_S:
-            raise CallRefusedError("RESOURCE_EXHAUSTED", f"{MOST_SESSIONS} sessions are open; close one")
-        self._free.append(self._sessions.pop(oldest).planner)
-
     def _close(self, request: Any, metadata: Mapping[str, str]) -> Any:
-        self._forget(request.session_uuid)
+        self._sessions.close(request.session_uuid)
         return build_message("Empty")
 
-    def _forget(self, uuid: str) -> None:
-        with self._lock:
-            session = self._sessions.pop(uuid, None)
-            # A session that a call is in keeps its planner.
-            if session is not None and not session.lock.locked():
-                self._free.append(session.planner)
-
-    def _find(self, uuid: str) -> _Session:
-        with self._lock:
-            session = self._sessions.get(uuid)
-        if session is None:
-            raise CallRefusedError("NOT_FOUND", f"there is no session {to_one_line(uuid, 60)}")
-        session.asked = time.monotonic()
-        return session
+    def _take_back(self, session: _Session) -> None:
+        # A session that a call is in keeps its planner.
+        if not session.lock.locked():
+            self._free.append(session.planner)
 
     def _pass_over(self, request: Any, metadata: Mapping[str, str]) -> Any:
         """The recorded future is nothing that a planner may see."""
-        self._find(request.session_uuid)
+        self._sessions.find(request.session_uuid)
         return build_message("Empty")
 
     def _take_image(self, request: Any, metadata: Mapping[str, str]) -> Any:
-        session, image = self._find(request.session_uuid), request.camera_image
+        session, image = self._sessions.find(request.session_uuid), request.camera_image
         if image.logical_id not in session.cameras:
             raise CallRefusedError(
                 "INVALID_ARGUMENT", f"camera {to_one_line(image.logical_id, 60)!r} was not declared in start_session"
@@ -225,7 +192,7 @@ class EgodriverService:
         return build_message("Empty")
 
     def _take_egomotion(self, request: Any, metadata: Mapping[str, str]) -> Any:
-        session = self._find(request.session_uuid)
+        session = self._sessions.find(request.session_uuid)
         poses, states = decode_trajectory(request.trajectory), request.dynamic_states
         if len(states) not in (0, len(poses)):
             raise CallRefusedError("INVALID_ARGUMENT", f"there are {len(states)} dynamic states of {len(poses)} poses")
@@ -246,14 +213,14 @@ class EgodriverService:
         return build_message("Empty")
 
     def _take_route(self, request: Any, metadata: Mapping[str, str]) -> Any:
-        session = self._find(request.session_uuid)
+        session = self._sessions.find(request.session_uuid)
         points = [[point.x, point.y, point.z] for point in request.route.waypoints]
         with session.lock:
             session.waypoints = np.array(points, np.float64).reshape(-1, 3)
         return build_message("Empty")
 
     def _drive(self, request: Any, metadata: Mapping[str, str]) -> Any:
-        session = self._find(request.session_uuid)
+        session = self._sessions.find(request.session_uuid)
         with session.lock:
             place = int(np.searchsorted(session.poses.times_us, min(request.time_now_us, 1 << 62) + _JITTER_US)) - 1
             if place < 0:

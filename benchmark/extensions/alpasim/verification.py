@@ -24,7 +24,8 @@ from benchmark.extensions.alpasim.poses import (
     decode_trajectory,
     encode_trajectory,
 )
-from benchmark.extensions.alpasim.session import CallRefusedError, EgodriverService
+from benchmark.extensions.alpasim.session import EgodriverService
+from benchmark.extensions.alpasim.sessions import CallRefusedError
 from benchmark.planning import EgoState, Observation, Plan, PlanFrame, Ride, SceneInfo
 from benchmark.untrusted.files import GRPC_PICTURE
 from benchmark.verification.checks import Comparison
@@ -35,7 +36,7 @@ _MODEL: Final = "carla"
 
 
 @dataclass(frozen=True, slots=True)
-class _Call:
+class RecordedCall:
     """A recorded call: its path, the bytes of request and answer, and the line of text about it."""
 
     path: str
@@ -60,20 +61,21 @@ def _split(data: bytes) -> Iterator[bytes]:
         at += 4 + length
 
 
-def _read_calls(path: Path) -> list[_Call]:
+def read_calls(path: Path) -> list[RecordedCall]:
+    """The calls of a recorded session, in order."""
     parts = list(_split(unpack_gzip(path)))
     lines = unpack_gzip(path.with_name(path.name.replace(".bin.", ".jsonl."))).splitlines()
     told = [json.loads(line) for line in lines]
     if len(parts) != 2 * len(told):
         raise ValueError(f"{path.name} has {len(parts)} messages of {len(told)} calls")
-    return [_Call(call["method"], parts[2 * at], parts[2 * at + 1], call) for at, call in enumerate(told)]
+    return [RecordedCall(call["method"], parts[2 * at], parts[2 * at + 1], call) for at, call in enumerate(told)]
 
 
-def _compare_messages(comparison: Comparison, folder: GoldenFolder) -> None:
+def compare_messages(comparison: Comparison, folder: GoldenFolder) -> None:
     """Each message decoded, encoded to the same bytes, and read as the text beside it says."""
     others = 0
     for path in folder.named("*.bin.gz"):
-        for call in _read_calls(path):
+        for call in read_calls(path):
             others += not call.known
             if not call.known:
                 continue
@@ -131,7 +133,7 @@ def _compare_server(comparison: Comparison, folder: GoldenFolder) -> None:
         service = EgodriverService(_Coasting, cameras={})
         ordered = "errors" not in path.name
         last: dict[str, Poses] = {}
-        for call in sorted(_read_calls(path), key=lambda call: int(call.told["call"])):
+        for call in sorted(read_calls(path), key=lambda call: int(call.told["call"])):
             if not call.path.startswith(EGODRIVER):
                 continue
             code = "OK"
@@ -167,11 +169,11 @@ def _compare_client(comparison: Comparison, folder: GoldenFolder) -> None:
     for path in folder.named("*.asl.gz"):
         first = decode_message("LogEntry", next(_split(unpack_gzip(path))), GRPC_PICTURE).rollout_metadata
         recorded = decode_trajectory(first.ego_rig_recorded_ground_truth_trajectory)
-        calls = _read_calls(path.with_name(path.name.replace(".asl.", ".bin.")))
+        calls = read_calls(path.with_name(path.name.replace(".asl.", ".bin.")))
         _compare_rollout(comparison.at(path.name), first, recorded, calls)
 
 
-def _compare_rollout(comparison: Comparison, metadata: Any, recorded: Poses, calls: list[_Call]) -> None:
+def _compare_rollout(comparison: Comparison, metadata: Any, recorded: Poses, calls: list[RecordedCall]) -> None:
     told = {"submit_egomotion_observation": [], "submit_route": [], "drive": []}  # type: dict[str, list[Any]]
     for call in sorted(calls, key=lambda call: int(call.told["call"])):
         name = call.path.removeprefix(EGODRIVER)
@@ -219,7 +221,7 @@ _STRICTER: Final = ("nan_position", "starts_0.3s_in_past", "all_in_past")
 """Taken by AlpaSim's runtime, which then rolls, or drives a displaced plan; not by ours."""
 
 
-def _compare_reactions(comparison: Comparison, folder: GoldenFolder) -> None:
+def compare_reactions(comparison: Comparison, folder: GoldenFolder) -> None:
     """Answers that are not as they should be: what AlpaSim's runtime fails at, ours does not take."""
     now = Poses(np.array([_NOW_US]), np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]]))
     for name, told in folder.facts("bad_driver.json").items():
@@ -263,22 +265,8 @@ def _spoil(name: str) -> Any:
 SESSIONS: Final = GoldenSet(
     name="alpasim sessions",
     files=("*.bin.gz", "*.jsonl.gz"),
-    compare=(_compare_messages, _compare_server, _compare_client),
+    compare=(compare_messages, _compare_server, _compare_client),
     quantities={"routes, m": 1e-4},
     usual="sessions",
     holds="recorded sessions of AlpaSim",
-)
-TRAFFIC: Final = GoldenSet(
-    name="alpasim traffic",
-    files=("*.bin.gz", "*.jsonl.gz"),
-    compare=(_compare_messages,),
-    usual="traffic",
-    holds="recorded sessions of AlpaSim's traffic",
-)
-REACTIONS: Final = GoldenSet(
-    name="alpasim reactions",
-    files=("bad_driver.json",),
-    compare=(_compare_reactions,),
-    usual="reactions",
-    holds="reactions of AlpaSim's runtime",
 )

@@ -7,11 +7,13 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.closed_loop.agent_policy import AgentPolicy
+from benchmark.closed_loop.default_engine import PRIMING_STEPS
 from benchmark.errors import InputError
 from benchmark.machine.identity_cache import IdentityCache
 from benchmark.scene import Scene
+from generation.extensions.reactive_adversary.ego_prediction import hide_future
 from generation.extensions.reactive_adversary.policy import ReactiveAdversary
-from generation.extensions.reactive_adversary.settings import AdversarySettings
+from generation.extensions.reactive_adversary.settings import AdversarySettings, EgoPrediction
 from generation.search.candidates import compute_eligibility, compute_nearness, find_launch_frame
 from generation.search.definition import PackagedPrior, PriorFactory
 from generation.search.hyperparameters import HyperParameters
@@ -43,16 +45,24 @@ class ReactiveAdversaryMaker:
 
     def possible(self, scene: Scene) -> bool:
         """Whether a scene has an adversary, or a vehicle that the search would try."""
-        return bool(get_vehicles(scene, self.settings.hyper))
+        start_us = int(scene.timestamps_us[scene.keyframes[min(PRIMING_STEPS, len(scene.keyframes) - 1)]])
+        return bool(get_vehicles(self._know(scene, start_us), self.settings.hyper))
+
+    def _know(self, scene: Scene, start_us: int) -> Scene:
+        """The scene as far as the adversary knows it when a drive starts."""
+        return get_known(scene, start_us) if self.settings.knows is EgoPrediction.MOTION_ONLY else scene
 
     def policy(
         self, scene: Scene, run: int, start_us: int, others: Callable[[int], AgentPolicy[Any]]
     ) -> AgentPolicy[Any]:
         """The policy of a scene; raises `InputError` where no vehicle can become an adversary."""
+        scene = self._know(scene, start_us)
         vehicles = get_vehicles(scene, self.settings.hyper)
         if not vehicles:
             raise InputError(f"no vehicle of {scene.name} can become an adversary; leave the scene out with --scenes")
-        agent = vehicles[run % len(vehicles)]
+        # A run of who knows motion only has another seed, not another vehicle: that is chosen by what it can do.
+        chosen = 0 if self.settings.knows is EgoPrediction.MOTION_ONLY else run % len(vehicles)
+        agent = vehicles[chosen]
         start = find_handover_frame(scene, agent, start_us, self.settings.hyper)
         # Imported late: it brings torch, which nothing else in this module needs.
         from generation.diffusion.prior import diversify
@@ -73,6 +83,7 @@ def _list_vehicles(scene: Scene, hyper: HyperParameters) -> tuple[int, ...]:
     return tuple(sorted(chosen, key=lambda agent: (-compute_nearness(scene, agent, hyper), agent)))
 
 
+get_known: Final = IdentityCache[Scene, Scene](hide_future, kept=4)
 get_vehicles: Final = IdentityCache[Scene, tuple[int, ...]](_list_vehicles, kept=4)
 """Vehicles that runs take in turn: the adversaries of an adversarial scene, else those that open loop would try, by
 how soon they can be in the ego's way."""

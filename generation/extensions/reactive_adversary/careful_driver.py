@@ -8,13 +8,13 @@ whether that driver is hit: by the candidate, or by another because of it.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final, Self
 
 import numpy as np
 
 from benchmark.constants import FRAME_HZ
-from benchmark.dynamics.bicycle import SimulatedMotion
+from benchmark.dynamics.bicycle import SimulatedMotion, compute_rear_axle
 from benchmark.geometry import Bools, Floats
 from benchmark.interactions.reaction import CAREFUL_TIME_S, HARDEST_BRAKING, REACTION_S
 from benchmark.machine.identity_cache import IdentityCache
@@ -32,6 +32,7 @@ BLIND_FRAMES: Final = 12
 _RISE_M_S3: Final = 12.65
 _AIR_ALONG_M: Final = 1.0
 _AIR_ASIDE_M: Final = 0.4
+_ROUNDING_M: Final = 1e-6
 _ASIDE_M_S: Final = 0.1
 """Gaps smaller than this, ahead of the ego and beside it, count as contact: where the ego will be is uncertain,
 and more so the farther ahead."""
@@ -83,6 +84,10 @@ class CarefulDriverCheck:
     others: PathBodies
     steps: tuple[int, ...]
     lost: bool
+    _in_way: "tuple[tuple[_InWay | None, _InWay | None], ...]" = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_in_way", self._collect_in_way())
 
     @classmethod
     def of(cls, scene: Scene, agent: int, frame: int, speed: float, look_frames: int = LOOK_FRAMES) -> Self:
@@ -125,39 +130,71 @@ class CarefulDriverCheck:
     @np.errstate(invalid="ignore")
     def hits(self, placed: PathBodies) -> Bools:
         """(B,) as `hit`, of B bodies; one that is nowhere has no speed."""
-        rear, front, beside, others = placed.rear, placed.front, placed.beside, self.others
-        count, half = len(rear), 0.5 * self.way.length_m
+        steps = np.arange(len(self.steps) + 1)
+        near_enough = _AIR_ASIDE_M + _ASIDE_M_S * steps * (EVERY_FRAMES / FRAME_HZ)
+        matters = (placed.beside <= near_enough).any(axis=1)
+        # Bodies that are never near the ego's strip all change as little as one that is nowhere.
+        rows = np.flatnonzero(matters)
+        rear, front, beside = (
+            np.append(column[rows].T, np.full((len(steps), 1), np.inf), axis=1)
+            for column in (placed.rear, placed.front, placed.beside)
+        )
+        found = self._simulate(rear, front, beside, near_enough)
+        answers = np.repeat(found[-1:], len(matters))
+        answers[rows] = found[:-1]
+        return answers
+
+    def _simulate(self, rear: Floats, front: Floats, beside: Floats, near_enough: Floats) -> Bools:
+        """(B,) `hits` of bodies that are (S + 1, B), by instants."""
+        count, half = rear.shape[1], 0.5 * self.way.length_m
         dt = EVERY_FRAMES / FRAME_HZ
         station, speed = np.full(count, self.station), np.full(count, self.speed)
         waiting, braking = np.full(count, REACTION_S), np.zeros(count)
         hit, lost = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
-        in_way = others.beside <= 0.0
-        for step in range(len(self.steps)):
-            unsafe = _is_unsafe(rear[:, step : step + 2], front[:, step], beside[:, step], station, speed, half)
-            # Most other road users are in the ego's way only for a while.
-            in_way_now = np.flatnonzero(in_way[:, step])
-            if len(in_way_now):
-                ahead, along = others.rear[in_way_now, step : step + 2, None], others.front[in_way_now, step, None]
-                unsafe |= _is_unsafe(ahead, along, others.beside[in_way_now, step, None], station, speed, half).any(
-                    axis=0
-                )
-            ready = unsafe & (waiting <= 0.0)
-            waiting = np.where(unsafe, waiting - dt, waiting)
-            braking = np.where(ready, np.minimum(braking + _RISE_M_S3 * dt, HARDEST_BRAKING), braking)
-            after = np.maximum(speed - np.where(ready, braking, 0.0) * dt, 0.0)
+        in_strip, beside_ego = beside <= 0.0, beside <= near_enough[:, None]
+        body_speed = (rear[1:] - rear[:-1]) * (FRAME_HZ / EVERY_FRAMES)
+        for step, (others, later) in enumerate(self._in_way):
+            unsafe = in_strip[step] & (front[step] > station)
+            unsafe &= _is_near(rear[step], body_speed[step], station, speed, half)
+            if others is not None:
+                ahead = others.front > station
+                unsafe |= (ahead & _is_near(others.rear, others.speed, station, speed, half)).any(axis=0)
+            after = speed
+            if unsafe.any():
+                ready = unsafe & (waiting <= 0.0)
+                waiting = np.where(unsafe, waiting - dt, waiting)
+                if ready.any():
+                    braking = np.where(ready, np.minimum(braking + _RISE_M_S3 * dt, HARDEST_BRAKING), braking)
+                    after = np.maximum(speed - np.where(ready, braking, 0.0) * dt, 0.0)
             station, speed = station + 0.5 * dt * (speed + after), after
-            over = (rear[:, step + 1] < station + half + _AIR_ALONG_M) & (front[:, step + 1] > station - half)
-            hit |= over & (beside[:, step + 1] <= _AIR_ASIDE_M + _ASIDE_M_S * (step + 1) * dt)
-            in_way_now = np.flatnonzero(in_way[:, step + 1])
-            now = others.rear[in_way_now, step + 1, None] < station + half
-            lost |= (now & (others.front[in_way_now, step + 1, None] > station - half)).any(axis=0)
-        if np.isfinite(rear[:, -1]).all():
-            gap = rear[:, -1] - station - half
-            closing = np.maximum(speed - (rear[:, -1] - rear[:, -2]) / dt, 0.0)
-            needed = closing * np.maximum(waiting, 0.0) + closing**2 / (2.0 * HARDEST_BRAKING)
-            hit |= (beside[:, -1] <= 0.0) & (gap > -half) & (gap < needed)
+            over = (rear[step + 1] < station + half + _AIR_ALONG_M) & (front[step + 1] > station - half)
+            hit |= over & beside_ego[step + 1]
+            if later is not None:
+                lost |= ((later.rear < station + half) & (later.front > station - half)).any(axis=0)
+        gap = rear[-1] - station - half
+        closing = np.maximum(speed - (rear[-1] - rear[-2]) / dt, 0.0)
+        needed = closing * np.maximum(waiting, 0.0) + closing**2 / (2.0 * HARDEST_BRAKING)
+        hit |= in_strip[-1] & (gap > -half) & (gap < needed)
         # A driver who would be hit by others in any case is not hit because of a candidate.
         return np.asarray(hit | (lost & (not self.lost)))
+
+    def _collect_in_way(self) -> "tuple[tuple[_InWay | None, _InWay | None], ...]":
+        """Others that may matter to a driver who never speeds up: at the start of each step, and at its end."""
+        others, half, dt = self.others, 0.5 * self.way.length_m, EVERY_FRAMES / FRAME_HZ
+        farthest = self.station + self.speed * dt * np.arange(len(self.steps) + 1) + half + _ROUNDING_M
+        speed = np.diff(others.rear, axis=1) * (FRAME_HZ / EVERY_FRAMES)
+        stops = CAREFUL_TIME_S * np.maximum(self.speed - speed, 0.0)
+        in_strip = others.beside <= 0.0
+        now = in_strip[:, :-1] & (others.front[:, :-1] > self.station)
+        now &= others.rear[:, :-1] <= farthest[:-1] + stops
+        later = in_strip & (others.front > self.station - half) & (others.rear < farthest)
+        return tuple(
+            (
+                _InWay.of(now[:, step], others.rear[:, step], others.front[:, step], speed[:, step]),
+                _InWay.of(later[:, step + 1], others.rear[:, step + 1], others.front[:, step + 1], speed[:, step]),
+            )
+            for step in range(len(self.steps))
+        )
 
     def compute_missing_distance(self, placed: PathBodies) -> Floats:
         """(B,) metres missing to stop behind the ego for a follower, planned anew after a second, not braking earlier.
@@ -176,12 +213,25 @@ get_careful_driver_check: Final = IdentityCache[Scene, CarefulDriverCheck](Caref
 """`CarefulDriverCheck.of`: a planning frame asks for it of its candidates, and of what it chose."""
 
 
-def _is_unsafe(rear: Floats, front: Floats, beside: Floats, station: Floats, speed: Floats, half: float) -> Bools:
-    """(..., B) whether a careful human has a vehicle in its way less than two seconds ahead."""
-    gap = rear[:, 0] - station - half
-    closing = speed - (rear[:, 1] - rear[:, 0]) * (FRAME_HZ / EVERY_FRAMES)
-    near = (gap <= 0.0) | ((closing > 0.0) & (gap <= CAREFUL_TIME_S * closing))
-    return np.asarray((beside <= 0.0) & (front > station) & near)
+@dataclass(frozen=True, slots=True)
+class _InWay:
+    """(M, 1) of M others at an instant: metres on the ego's way, and m/s."""
+
+    rear: Floats
+    front: Floats
+    speed: Floats
+
+    @classmethod
+    def of(cls, rows: Bools, *columns: Floats) -> "_InWay | None":
+        """Some of all others' numbers; ``None`` of none."""
+        return cls(*(column[rows][:, None] for column in columns)) if rows.any() else None
+
+
+def _is_near(rear: Floats, body_speed: Floats, station: Floats, speed: Floats, half: float) -> Bools:
+    """(..., B) whether a vehicle's rear is less than two seconds ahead of the ego's front, or behind that."""
+    gap = rear - station - half
+    closing = speed - body_speed
+    return np.asarray((gap <= 0.0) | ((closing > 0.0) & (gap <= CAREFUL_TIME_S * closing)))
 
 
 def _collect_others(scene: Scene, agent: int, way: RecordedEgoPath, frame: int, steps: tuple[int, ...]) -> PathBodies:
@@ -238,6 +288,17 @@ class ReactivePlanning(AdversaryPlanning):
             return replace(terms, further=more if terms.further is None else terms.further + more)
 
         return rated
+
+
+def build_driven_motion(poses: Floats, length_m: float) -> SimulatedMotion:
+    """Motion of one track, (S + 1, 3) box centres by frame, as of a candidate; the tracker's commands are unknown."""
+    axle = compute_rear_axle(poses, length_m)
+    heading = np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+    velocity = np.gradient(axle[:, :2], 1.0 / FRAME_HZ, axis=0) if len(poses) > 1 else np.zeros((1, 2))
+    speed = (velocity * heading).sum(axis=1)
+    acceleration = np.gradient(speed, 1.0 / FRAME_HZ) if len(poses) > 1 else np.zeros(1)
+    states = np.column_stack([axle, speed, acceleration, np.zeros(len(poses))])
+    return SimulatedMotion(poses[None], states[None], np.zeros((1, len(poses) - 1, 2)), np.ones(1, np.bool_))
 
 
 def compute_ego_speed_at(scene: Scene, frame: int) -> float:

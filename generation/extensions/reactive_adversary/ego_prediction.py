@@ -1,6 +1,6 @@
 """Where an adversary takes the ego to be at every frame of a scene: where it has been, and what is expected of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Self
 
 import numpy as np
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from benchmark.closed_loop.agent_policy import ActivePlan, TrafficSnapshot, extend_waypoints
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, PLAN_STEP_S
 from benchmark.geometry import Floats, quaternion_from_yaw, to_global, wrap_angle
+from benchmark.road_map import DrivableRaster
 from benchmark.scene import EgoTrack, Scene
 from generation.extensions.reactive_adversary.settings import EgoPrediction
 from generation.search.recorded_ego_path import get_ego_path
@@ -22,6 +23,9 @@ ON_ROUTE_RAD: Final = 0.35
 """Largest distance and heading error at which an ego follows the route."""
 AS_RECORDED_M: Final = 1.0
 """An ego this near to where it was recorded at the same time drives as recorded."""
+TURNS_RAD_S: Final = (-0.4, 0.4)
+TURNS_OVER_S: Final = 2.0
+"""Turns that nothing announces, and for how long there must be road for them."""
 MOST_TURN_RAD: Final = np.pi / 2
 """Largest predicted turn: one right-angled corner."""
 
@@ -87,10 +91,42 @@ def predict_ego(scene: Scene, seen: EgoObservations, plan: ActivePlan | None, kn
     elif knows is EgoPrediction.NOTHING:
         poses[~past] = seen.poses[-1]
     else:
-        on_its_way = _predict_on_route(scene, seen, seconds)
+        on_its_way = None if knows is EgoPrediction.MOTION_ONLY else _predict_on_route(scene, seen, seconds)
         poses[~past] = _predict_steady_motion(seen, seconds) if on_its_way is None else on_its_way
     position = np.column_stack([poses[:, :2], scene.ego.position[:, 2]])
-    return EgoTrack(position, quaternion_from_yaw(poses[:, 2]))
+    return replace(scene.ego, position=position, rotation=quaternion_from_yaw(poses[:, 2]))
+
+
+def predict_turns(scene: Scene, seen: EgoObservations, road: DrivableRaster) -> list[EgoTrack]:
+    """Where the ego may go, too, if there is road for its centre: it begins to turn by `TURNS_RAD_S` on either side."""
+    later = scene.timestamps_us > seen.times_us[-1]
+    seconds = (scene.timestamps_us[later] - seen.times_us[-1]) / 1e6
+    found = []
+    for rate in TURNS_RAD_S:
+        poses = _predict_steady_motion(seen, seconds, seen.yaw_rate + rate)
+        if not road.look_up(poses[seconds <= TURNS_OVER_S, :2]).all():
+            continue
+        position, rotation = scene.ego.position.copy(), scene.ego.rotation.copy()
+        position[later, :2], rotation[later] = poses[:, :2], quaternion_from_yaw(poses[:, 2])
+        found.append(replace(scene.ego, position=position, rotation=rotation))
+    return found
+
+
+def hide_future(scene: Scene, now_us: int) -> Scene:
+    """The scene as it is known at a time to who knows motion only: the ego keeps its speed and its turn from then on.
+
+    No later frame of the ego's recording is read.
+    """
+    past = max(int(np.searchsorted(scene.timestamps_us, now_us, side="right")), 1)
+    times, poses = scene.timestamps_us[:past], scene.ego.pose[:past]
+    first = int(np.searchsorted(times, times[-1] - _TURN_US))
+    span = (times[-1] - times[first]) / 1e6
+    ahead = (poses[-1, :2] - poses[first, :2]) @ [np.cos(poses[-1, 2]), np.sin(poses[-1, 2])]
+    seen = EgoObservations(times, poses, max(float(ahead) / span, 0.0) if span > 0.0 else 0.0)
+    position = scene.ego.position.copy()
+    position[past:] = position[past - 1]
+    known = replace(scene, ego=replace(scene.ego, position=position))
+    return replace(known, ego=predict_ego(known, seen, None, EgoPrediction.MOTION_ONLY), sweep_poses=None)
 
 
 def _predict_on_route(scene: Scene, observed: EgoObservations, seconds: Floats) -> Floats | None:
@@ -109,10 +145,10 @@ def _predict_on_route(scene: Scene, observed: EgoObservations, seconds: Floats) 
     return np.column_stack([place + offset * left - back * ahead, yaw])
 
 
-def _predict_steady_motion(observed: EgoObservations, seconds: Floats) -> Floats:
-    """(K, 3) poses of an ego that keeps its speed and its turn."""
+def _predict_steady_motion(observed: EgoObservations, seconds: Floats, yaw_rate: float | None = None) -> Floats:
+    """(K, 3) poses of an ego that keeps its speed, and its turn or another."""
     x, y, yaw = observed.poses[-1]
-    rate = observed.yaw_rate
+    rate = observed.yaw_rate if yaw_rate is None else yaw_rate
     turning = np.minimum(seconds, MOST_TURN_RAD / max(abs(rate), 1e-9))
     turned = rate * turning
     small = np.abs(turned) < 1e-9

@@ -16,24 +16,28 @@ from benchmark.closed_loop.adversary import ADVERSARY, AdversaryTrack, Handover,
 from benchmark.closed_loop.agent_policy import AgentMotion, AgentPolicy, TrafficSnapshot
 from benchmark.closed_loop.plan_tracking import SUBSTEP_US
 from benchmark.constants import FRAME_HZ
-from benchmark.dynamics.bicycle import MotionModel, SimulatedMotion, VehicleState, compute_rear_axle
+from benchmark.dynamics.bicycle import MotionModel, VehicleState, compute_rear_axle
 from benchmark.geometry import Floats, to_local
 from benchmark.machine.storage import content_seed
+from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
+from generation.extensions.reactive_adversary.braking import brake_on_path
+from generation.extensions.reactive_adversary.candidate_choice import choose_by_rules, find_drivable, list_allowed
 from generation.extensions.reactive_adversary.careful_driver import (
     CarefulDriverCheck,
     ReactivePlanning,
+    build_driven_motion,
     compute_ego_speed_at,
     get_careful_driver_check,
 )
-from generation.extensions.reactive_adversary.ego_prediction import EgoObservations, predict_ego
+from generation.extensions.reactive_adversary.ego_prediction import EgoObservations, predict_ego, predict_turns
+from generation.extensions.reactive_adversary.returning import find_recorded_rest
+from generation.extensions.reactive_adversary.rules import AdversaryRules, rasterise_road
 from generation.extensions.reactive_adversary.safe_endings import (
     AHEAD_FRAMES,
     BRAKING_M_S2,
     ExpectedAgents,
     SurroundingTracks,
-    brake_on_path,
-    order_candidates,
     predict_others,
 )
 from generation.extensions.reactive_adversary.search_trace import build_search_trace
@@ -44,8 +48,7 @@ from generation.search.proposals import Diversify, Prior, run_searches
 from generation.search.recorded_motion import compute_initial_state
 from generation.search.refinement import Refinement, ResamplingUnderflowError, compare_scores
 
-MOST_CANDIDATES_CHECKED: Final = 96
-"""Candidates that are asked after the best one of a search, where that may not be driven."""
+_NO_SCRIPT: Final = (EgoPrediction.RECORDING, EgoPrediction.MOTION_ONLY)
 _FAR_M: Final = 5.0
 """Nearer than this to the edge of the area around the ego, an adversary looks at the road around itself."""
 
@@ -103,8 +106,11 @@ class ReactiveAdversary:
     draws: bool = False
     handover: Handover = field(init=False, repr=False)
     model: MotionModel = field(init=False, repr=False)
+    road: DrivableRaster | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        bound = self.settings.knows is EgoPrediction.MOTION_ONLY
+        object.__setattr__(self, "road", rasterise_road(self.scene) if bound else None)
         object.__setattr__(self, "handover", Handover.of(self.scene, self.agent, self.start))
         object.__setattr__(self, "model", self.settings.hyper.motion_model())
 
@@ -122,7 +128,7 @@ class ReactiveAdversary:
             state=planning.compute_first_state(),
             track=first[None],
             ahead=np.repeat(first[None], AHEAD_FRAMES, axis=0),
-            ending=self._find_recorded_ending(first, time_us),
+            ending=self._find_first_ending(first, time_us, planning.compute_first_state()),
             randomness=rng.bit_generator.state,
         )
         return own, moved
@@ -168,8 +174,9 @@ class ReactiveAdversary:
         chosen, refinement = self._follow_scripted_track(scene, around, frame, steps, memory), None
         if chosen is None:
             refinement = self._search(planning, frame, memory)
-            chosen = self._choose_motion(scene, around, frame, steps, refinement, memory)
-            if self.settings.knows is not EgoPrediction.RECORDING:
+            rules = self._build_rules(scene, frame, memory)
+            chosen = self._choose_motion(scene, around, frame, steps, refinement, memory, rules)
+            if rules is None and self.settings.knows is not EgoPrediction.RECORDING:
                 chosen = self._yield_if_safer(scene, around, frame, steps, chosen, memory)
         replanning = self._build_replanning(scene, frame, memory.state, refinement, chosen)
         return replace(
@@ -183,10 +190,17 @@ class ReactiveAdversary:
             on_scripted_track=chosen.on_scripted_track,
         )
 
-    def _find_recorded_ending(self, first: Floats, time_us: int) -> Floats:
-        """(K, 3) the rest of its recording after the hand-over, or brakes where that ends or touches another."""
+    def _find_first_ending(self, first: Floats, time_us: int, state: VehicleState) -> Floats:
+        """(K, 3) the rest of its recording after the hand-over, or brakes where that ends or touches another.
+
+        Brakes alone where the scene was made with its track and that is not known.
+        """
         scene, agents = self.scene, self.scene.agents
         around = SurroundingTracks.of(scene, self.agent, self.start, time_us)
+        if agents.ids[self.agent] in scene.adversaries and self.settings.knows is EgoPrediction.MOTION_ONLY:
+            path = np.repeat(first[None], 2, axis=0)
+            brakes = [self._slow_on_path(path, around.frame_seconds, state, braking) for braking in BRAKING_M_S2]
+            return around.find_longest(brakes)[1:]
         absent = np.flatnonzero(~agents.valid[self.agent, self.start :])
         recorded = slice(self.start, self.start + int(absent[0]) if len(absent) else None)
         poses = np.column_stack([agents.position[self.agent, recorded, :2], agents.yaw[self.agent, recorded]])
@@ -199,7 +213,7 @@ class ReactiveAdversary:
     ) -> _ChosenMotion | None:
         """The rest of the track that the scene was made with, if the adversary is still on it and may drive it."""
         known = self.scene.agents.ids[self.agent] in self.scene.adversaries
-        if not known or not memory.on_scripted_track or self.settings.knows is EgoPrediction.RECORDING:
+        if not known or not memory.on_scripted_track or self.settings.knows in _NO_SCRIPT:
             return None
         agents = scene.agents
         last = len(scene.timestamps_us) - 1
@@ -264,6 +278,18 @@ class ReactiveAdversary:
             return None
         return refinement
 
+    def _build_rules(self, scene: Scene, frame: int, memory: AdversaryMemory) -> AdversaryRules | None:
+        """Rules at a frame, of who has a road to keep to."""
+        if self.road is None:
+            return None
+        speed = compute_ego_speed_at(scene, frame)
+        careful = [get_careful_driver_check(scene, self.agent, frame, speed)]
+        for ego in predict_turns(scene, memory.seen, self.road):
+            careful.append(CarefulDriverCheck.of(replace(scene, ego=ego), self.agent, frame, speed))
+        scripted = scene.agents.ids[self.agent] in scene.adversaries
+        recorded = None if scripted else find_recorded_rest(scene, self.agent, frame)
+        return AdversaryRules.of(scene, self.road, careful, self.agent, memory.track[-1], recorded)
+
     def _find_road_pose(self, scene: Scene, frame: int, pose: Floats) -> Floats | None:
         """Around the ego, as the search looks; around itself where the area around the ego has lost it."""
         half = self.settings.hyper.half_extent_m - _FAR_M
@@ -278,19 +304,28 @@ class ReactiveAdversary:
         steps: int,
         refinement: Refinement | None,
         memory: AdversaryMemory,
+        rules: AdversaryRules | None,
     ) -> _ChosenMotion:
         """The best candidate that may be driven, or the brakes."""
         # An adversary that is already off the road may return to it, however.
         on_road = bool(scene.road_map.is_drivable(memory.track[-1, :2]))
-        for number, index in () if refinement is None else self._order_candidates(refinement):
-            assert refinement is not None
-            motion = refinement.batches[number].evaluated.motion
-            if not motion.finite[index] or (on_road and _is_leaving_road(refinement, number, index, steps)):
-                continue
-            ending = around.ending(motion.center[index], steps)
-            if ending is not None:
-                return self._build_searched_motion(frame, steps, refinement, number, index, ending)
-        return self._brake_on_path(around, frame, steps, memory)
+        candidates = [] if refinement is None else list_allowed(refinement, self.settings.hyper, steps, on_road=on_road)
+        cached_ending = np.concatenate([memory.track[-1:], memory.ending])
+        options = [*self._compute_brakings((0.0, *BRAKING_M_S2), around, memory), cached_ending]
+        chosen: tuple[int, int, Floats] | Floats | None
+        if rules is not None:
+            chosen = choose_by_rules(candidates, refinement, around, steps, rules, options)
+            if chosen is None:
+                chosen = rules.find_clearest(around, scene, frame, options)
+        else:
+            chosen = find_drivable(candidates, refinement, around, steps)
+            if chosen is None:
+                # Brakes on the meant path, as gently as touches no other; or the ending kept; or the longest one.
+                chosen = around.find_longest(options)
+        if not isinstance(chosen, tuple):
+            return self._build_braked_motion(frame, steps, chosen)
+        assert refinement is not None
+        return self._build_searched_motion(frame, steps, refinement, *chosen)
 
     def _build_searched_motion(
         self, frame: int, steps: int, refinement: Refinement, number: int, index: int, ending: Floats
@@ -307,11 +342,6 @@ class ReactiveAdversary:
             picked=(number, index),
         )
 
-    def _order_candidates(self, refinement: Refinement) -> "Any":
-        """Round and index: what the search chose, then the others by score."""
-        yield refinement.round, refinement.chosen
-        yield from order_candidates(compare_scores(refinement.batches, self.settings.hyper), MOST_CANDIDATES_CHECKED)
-
     def _build_replanning(
         self, scene: Scene, frame: int, state: VehicleState, refinement: Refinement | None, chosen: _ChosenMotion
     ) -> Replanning:
@@ -323,14 +353,6 @@ class ReactiveAdversary:
             scene, self.agent, frame, state, refinement, picked, hyper, self.model, as_made=chosen.on_scripted_track
         )
         return replace(chosen.replanning, considered=considered)
-
-    def _brake_on_path(
-        self, around: SurroundingTracks, frame: int, steps: int, memory: AdversaryMemory
-    ) -> _ChosenMotion:
-        """Brakes on the meant path, as gently as touches no other; or the ending that was kept; or the longest one."""
-        cached_ending = np.concatenate([memory.track[-1:], memory.ending])
-        slowed = self._compute_brakings((0.0, *BRAKING_M_S2), around, memory)
-        return self._build_braked_motion(frame, steps, around.find_longest((*slowed, cached_ending)))
 
     def _compute_brakings(
         self, brakings: Sequence[float], around: SurroundingTracks, memory: AdversaryMemory
@@ -360,24 +382,8 @@ class ReactiveAdversary:
         return brake_on_path(np.concatenate([before, path]), 1, times, braking_m_s2)[1:]
 
 
-def build_driven_motion(poses: Floats, length_m: float) -> SimulatedMotion:
-    """Motion of one track, (S + 1, 3) box centres by frame, as of a candidate; the tracker's commands are unknown."""
-    axle = compute_rear_axle(poses, length_m)
-    heading = np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
-    velocity = np.gradient(axle[:, :2], 1.0 / FRAME_HZ, axis=0) if len(poses) > 1 else np.zeros((1, 2))
-    speed = (velocity * heading).sum(axis=1)
-    acceleration = np.gradient(speed, 1.0 / FRAME_HZ) if len(poses) > 1 else np.zeros(1)
-    states = np.column_stack([axle, speed, acceleration, np.zeros(len(poses))])
-    return SimulatedMotion(poses[None], states[None], np.zeros((1, len(poses) - 1, 2)), np.ones(1, np.bool_))
-
-
 def _compute_ahead(poses: Floats, steps: int) -> Floats:
     """(60, 3) how a motion goes on after some frames; its last pose stands for what is beyond it."""
     rest = poses[steps + 1 : steps + 1 + AHEAD_FRAMES]
     missing = AHEAD_FRAMES - len(rest)
     return np.concatenate([rest, np.repeat(poses[-1:], missing, axis=0)]) if missing else rest
-
-
-def _is_leaving_road(refinement: Refinement, number: int, index: int, steps: int) -> bool:
-    """Whether a candidate's centre is off the road in what would be executed."""
-    return bool(refinement.batches[number].evaluated.terms.center_off_road[index, :steps].any())

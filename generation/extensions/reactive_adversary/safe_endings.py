@@ -1,6 +1,6 @@
 """Admissible plans of an adversary: no contact but with the ego, and a safe end, with others predicted by policy."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Self
 
@@ -13,6 +13,7 @@ from benchmark.dynamics.bicycle import DriverLimits
 from benchmark.geometry import Bools, Floats, boxes_overlap, wrap_angle
 from benchmark.interactions.tracks import ContinuousTracks, Integers
 from benchmark.scene import Scene
+from generation.extensions.reactive_adversary.braking import InstantsBetween, brake_on_path, brake_on_paths
 
 AIR_M: Final = 0.1
 """Between bodies, on every side: what is driven is looked at every 0.05 s alone."""
@@ -23,6 +24,8 @@ BRAKING_M_S2: Final = (GENTLE_M_S2, DriverLimits().braking_m_s2, 8.0)
 """How it brakes where no candidate is allowed: gently, as hard as a driver does, as hard as tyres do."""
 LATER_FRAMES: Final = 6
 """A plan may end with brakes at once, or any number of half seconds later."""
+SOON_FRAMES: Final = (24, 42, 66)
+"""Within 2, 3.5 and 5.5 s most endings that touch another do."""
 _CHUNK: Final = 10
 """Instants that bodies are bounded over: 0.5 s."""
 
@@ -59,13 +62,23 @@ class SurroundingTracks:
         )
         present[agent] = False
         boxes, present = np.ascontiguousarray(boxes.transpose(1, 0, 2)), np.ascontiguousarray(present.T)
-        begins = np.arange(0, len(seconds), _CHUNK)
-        is_present, centre = present[..., None], boxes[..., :2]
-        low = np.minimum.reduceat(np.where(is_present, centre, np.inf), begins, axis=0)
-        high = np.maximum.reduceat(np.where(is_present, centre, -np.inf), begins, axis=0)
+        low, high = _bound(boxes, present)
         reach = 0.5 * np.hypot(*scene.agents.size[:, :2].T)
         size = scene.agents.size[agent, :2] + 2.0 * AIR_M
         return cls(frames, seconds, boxes, present, reach, low, high, size)
+
+    def extend(self, boxes: Floats) -> Self:
+        """With one more, who is always there, at (R, 5) boxes."""
+        present = np.ones((len(boxes), 1), np.bool_)
+        low, high = _bound(boxes[:, None], present)
+        return replace(
+            self,
+            boxes=np.concatenate([self.boxes, boxes[:, None]], axis=1),
+            present=np.concatenate([self.present, present], axis=1),
+            reach=np.append(self.reach, 0.5 * np.hypot(*boxes[0, 2:4])),
+            low=np.concatenate([self.low, low], axis=1),
+            high=np.concatenate([self.high, high], axis=1),
+        )
 
     def compute_clear_seconds(self, poses: Floats, first: int = 0) -> float:
         """Seconds to the last instant before a motion touches another, looked at from ``first`` on; infinite if never.
@@ -115,65 +128,138 @@ class SurroundingTracks:
         later, and stands; gentle braking comes first. ``poses`` are (F, 3) of the box centre from the planning frame
         on.
         """
+        for first, braking in self._list_endings(len(poses), executed):
+            yield brake_on_path(poses, first, self.frame_seconds, braking)
+
+    def _list_endings(self, length: int, executed: int) -> list[tuple[int, float]]:
+        """From which frame on each ending of so many poses brakes, and how hard."""
         count = len(self.frame_seconds)
-        end = min(len(poses), count) - 1
+        end = min(length, count) - 1
         first = min(executed, end)
-        yield brake_on_path(poses, end, self.frame_seconds, 0.0)
-        if first < count - 1:
-            for braking in BRAKING_M_S2:
-                for later in range(first, end + 1, LATER_FRAMES):
-                    yield brake_on_path(poses, later, self.frame_seconds, braking)
+        later = range(first, end + 1, LATER_FRAMES) if first < count - 1 else ()
+        return [(end, 0.0), *((frame, braking) for braking in BRAKING_M_S2 for frame in later)]
 
     def ending(self, poses: Floats, executed: int) -> Floats | None:
         """The first of them that never touches another; ``None`` if there is none."""
+        found = self.find_ending(poses[None], executed)
+        return None if found is None else found[1]
+
+    def find_ending(
+        self, motions: Floats, executed: int, are_allowed: Callable[[Floats], Bools] | None = None
+    ) -> tuple[int, Floats] | None:
+        """Index of the first of (N, F, 3) motions that has an `ending`, and that ending; looked at together.
+
+        ``are_allowed`` says which of (3, P, K) x, y, yaw are, of any motions from now on; with it brakes are tried at
+        once, or where the motion ends.
+        """
         last = min(executed, len(self.frame_seconds) - 1)
-        if self.compute_clear_seconds(poses[: last + 1]) < np.inf:
+        done = motions[:, : last + 1].transpose(2, 0, 1)
+        kept = np.flatnonzero(self.find_clear(done, 0))
+        kinds = self._list_endings(motions.shape[1], executed)
+        kinds = kinds if are_allowed is None else [kind for kind in kinds if kind[0] in (last, kinds[0][0])]
+        goes_on = self._find_clear_endings(motions[kept], kinds[:1], last, are_allowed)[:, 0]
+        # One that can go on at its speed needs no brakes, and none after it is asked.
+        before = int(np.argmax(goes_on)) if goes_on.any() else len(kept)
+        brakes = self._find_clear_endings(motions[kept[:before]], kinds[1:], last, are_allowed)
+        if brakes.any():
+            row = int(np.argmax(brakes.any(axis=1)))
+            chosen, (first, braking) = int(kept[row]), kinds[1 + int(np.argmax(brakes[row]))]
+        elif before < len(kept):
+            chosen, (first, braking) = int(kept[before]), kinds[0]
+        else:
             return None
-        for candidate in self.generate_endings(poses, executed):
-            if self.compute_clear_seconds(candidate, last) == np.inf:
-                return candidate
-        return None
+        return chosen, brake_on_path(motions[chosen], first, self.frame_seconds, braking)
+
+    def _find_clear_endings(
+        self,
+        motions: Floats,
+        kinds: Sequence[tuple[int, float]],
+        last: int,
+        are_allowed: Callable[[Floats], Bools] | None,
+    ) -> Bools:
+        """(N, E) which endings of (N, F, 3) motions touch nobody from the frame ``last`` on."""
+        clear = np.ones((len(motions), len(kinds)), np.bool_)
+        count = len(self.frame_seconds)
+        # Most contacts are soon, and what touches one needs no look at what comes later.
+        for ends in ([min(last + ahead, count) for ahead in SOON_FRAMES], [count]):
+            row, kind = np.nonzero(clear)
+            if len(row):
+                columns = brake_on_paths(motions, row, [kinds[each] for each in kind], self.frame_seconds, ends[-1])
+                alive = np.arange(len(row))
+                for end in ends:
+                    alive = alive[self.find_clear(columns[:, alive, :end], last)]
+                    last = end - 1
+                if are_allowed is not None:
+                    alive = alive[are_allowed(columns[:, alive])]
+                clear[:] = False
+                clear[row[alive], kind[alive]] = True
+            if ends[-1] == count:
+                break
+        return clear
+
+    def find_clear(self, columns: Floats, first: int) -> Bools:
+        """(P,) whether motions touch nobody from a frame on; (3, P, K) x, y, yaw of the first frames."""
+        known = self.frame_seconds[: columns.shape[2]]
+        count = int(np.searchsorted(self.seconds, known[-1] + 1e-9, side="right"))
+        begin = int(np.searchsorted(self.seconds, known[first] + 1e-9, side="right")) // _CHUNK * _CHUNK
+        clear = np.ones(columns.shape[1], np.bool_)
+        if begin >= count or not len(clear):
+            return clear
+        motion, chunk, other = self._find_near_chunks(columns[:2], known, begin, count)
+        row = (chunk[:, None] * _CHUNK + np.arange(begin, begin + _CHUNK)).ravel()
+        motion, other = np.repeat(motion, _CHUNK), np.repeat(other, _CHUNK)
+        there = (row < count) & self.present[np.minimum(row, count - 1), other]
+        motion, row, other = motion[there], row[there], other[there]
+        between = InstantsBetween.of(known, self.seconds[:count])
+        x, y = (between.at(axis, motion, row) for axis in columns[:2])
+        away_x, away_y = self.boxes[row, other, 0] - x, self.boxes[row, other, 1] - y
+        near = away_x**2 + away_y**2 <= (self._reach_of_both[other]) ** 2
+        motion, row, other = motion[near], row[near], other[near]
+        turning, where = np.unique(motion, return_inverse=True)
+        own = np.empty((len(row), 5))
+        own[:, 0], own[:, 1], own[:, 2:4] = x[near], y[near], self.size
+        own[:, 4] = between.at(np.unwrap(columns[2, turning], axis=1), where, row)
+        clear[motion[boxes_overlap(own, self.boxes[row, other])]] = False
+        return clear
+
+    def _find_near_chunks(
+        self, places: Floats, known: Floats, begin: int, count: int
+    ) -> tuple[Integers, Integers, Integers]:
+        """Motion, run of instants after ``begin``, and other, of all that may touch; (2, P, K) ``places`` of frames."""
+        starts = np.arange(begin, count, _CHUNK)
+        ends = np.minimum(starts + _CHUNK, count) - 1
+        frame = np.maximum(np.searchsorted(known, self.seconds[starts], side="right") - 1, 0)
+        after = np.minimum(np.searchsorted(known, self.seconds[ends]), len(known) - 1) + 1
+        bounds = np.column_stack([frame, after]).ravel()
+        padded = np.concatenate([places, places[..., -1:]], axis=2)
+        low, high = (bound.reduceat(padded, bounds, axis=2)[..., ::2] for bound in (np.minimum, np.maximum))
+        chunks, reach = slice(begin // _CHUNK, begin // _CHUNK + len(starts)), self._reach_of_both
+        their_low, their_high = self.low[chunks] - reach[:, None], self.high[chunks] + reach[:, None]
+        lowest, highest = low.min(axis=1).T[:, None], high.max(axis=1).T[:, None]
+        # Most others are far from all motions.
+        chunk, other = np.nonzero(((their_low <= highest) & (their_high >= lowest)).all(axis=-1))
+        may = np.ones((places.shape[1], len(chunk)), np.bool_)
+        for axis in range(2):
+            may &= low[axis][:, chunk] <= their_high[chunk, other, axis]
+            may &= high[axis][:, chunk] >= their_low[chunk, other, axis]
+        motion, pair = np.nonzero(may)
+        return motion, chunk[pair], other[pair]
+
+    @property
+    def _reach_of_both(self) -> Floats:
+        """(N,) distance of centres within which bodies may touch, metres."""
+        return np.asarray(self.reach + 0.5 * float(np.hypot(*self.size)) + 1e-6)
 
     def find_longest(self, motions: Iterable[Floats]) -> Floats:
         """The first of some motions that last longest before they touch another."""
         return max(motions, key=self.compute_clear_seconds)
 
 
-def brake_on_path(poses: Floats, first: int, seconds: Floats, braking_m_s2: float) -> Floats:
-    """(K, 3) poses of a motion that is braked on its own path from some frame on; 0 m/s^2 keeps its speed.
-
-    ``seconds`` are (K,) of the frames; those beyond the F are reached on the last heading.
-    """
-    count = len(seconds)
-    path = poses[: min(len(poses), count)]
-    steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
-    station = np.concatenate([[0.0], np.cumsum(steps)])
-    before = max(first - 1, 0)
-    after = min(before + 1, len(path) - 1)
-    span = float(seconds[after] - seconds[before]) if after > before else 1.0
-    speed = float(station[after] - station[before]) / span
-    time = seconds[first:] - seconds[first]
-    if braking_m_s2 > 0.0:
-        time = np.minimum(time, speed / braking_m_s2)
-    goal = station[min(first, len(path) - 1)] + speed * time - 0.5 * braking_m_s2 * time**2
-    yaw = np.unwrap(path[:, 2])
-    beyond = np.maximum(goal - station[-1], 0.0)
-    ahead = np.array([np.cos(path[-1, 2]), np.sin(path[-1, 2])])
-    # While it stood, two stations coincide and the path between them has no length; none is needed.
-    place = np.column_stack([np.interp(goal, station, path[:, axis]) for axis in range(2)]) + beyond[:, None] * ahead
-    turned = wrap_angle(np.interp(goal, station, yaw))
-    return np.concatenate([path[:first], np.column_stack([place, turned])])
-
-
-def order_candidates(scores: Floats, most: int) -> Iterator[tuple[int, int]]:
-    """Round and index of at most ``most`` finite (R, B) scores: lowest first, and as many from all over the rest."""
-    flat = scores.ravel()
-    order: Integers = np.argsort(flat, kind="stable")
-    order = order[np.isfinite(flat[order])]
-    # The best candidates are alike: an obstacle to one of them stops the others, too.
-    spread = np.unique(np.linspace(0, max(len(order) - 1, 0), most - most // 2).astype(np.int64))
-    for place in order[np.union1d(np.arange(min(most // 2, len(order))), spread[: len(order)])].tolist():
-        yield divmod(place, scores.shape[1])
+def _bound(boxes: Floats, present: Bools) -> tuple[Floats, Floats]:
+    """(C, N, 2) lowest and highest centres of (R, N, 5) boxes within runs of instants."""
+    begins = np.arange(0, len(boxes), _CHUNK)
+    low = np.minimum.reduceat(np.where(present[..., None], boxes[..., :2], np.inf), begins, axis=0)
+    return low, np.maximum.reduceat(np.where(present[..., None], boxes[..., :2], -np.inf), begins, axis=0)
 
 
 @dataclass(frozen=True, slots=True)

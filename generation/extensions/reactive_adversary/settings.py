@@ -23,12 +23,14 @@ class EgoPrediction(StrEnum):
     """Knowledge of an adversary about the ego.
 
     ``PLAN``: that it drives its plan in force. ``MOTION``: that it keeps its speed on its route, or its turn where it
-    has left that. ``NOTHING``: that it stays where it is. ``RECORDING``: the recorded future, which only the recorded
-    ego has; it is for tests, and no command line offers it.
+    has left that. ``MOTION_ONLY``: that it keeps its speed and its turn; no recorded route is known, neither is the
+    track that a scene was made with. ``NOTHING``: that it stays where it is.
+    ``RECORDING``: the recorded future, which only the recorded ego has; for tests, no command line offers it.
     """
 
     PLAN = "plan"
     MOTION = "motion"
+    MOTION_ONLY = "motion-only"
     NOTHING = "nothing"
     RECORDING = "recording"
 
@@ -71,7 +73,7 @@ class AdversarySettings:
         candidates: int | None = None,
         keep_considered: bool = False,
     ) -> "AdversarySettings":
-        """Settings by plain values: ``plan``, ``motion``, ``nothing``; ``replay``, ``idm``; the search's if ``None``.
+        """Settings by plain values, as of the command line; those of the search if ``None``.
 
         `every_s` seconds between plans are taken as whole frames of 1/12 s.
         """

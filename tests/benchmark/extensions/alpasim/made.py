@@ -13,7 +13,7 @@ import numpy as np
 from benchmark.closed_loop.episodes import EpisodeSpec
 from benchmark.extensions.alpasim.messages import EGODRIVER, METHODS, build_message, decode_message, encode_message
 from benchmark.extensions.alpasim.poses import Poses, decode_trajectory, encode_trajectory
-from benchmark.extensions.alpasim.server import EgodriverServer
+from benchmark.extensions.alpasim.server import GrpcServer
 from benchmark.extensions.alpasim.session import EgodriverService
 from benchmark.geometry import quaternion_from_yaw, rotation_matrix
 from benchmark.planning import Planner
@@ -107,9 +107,9 @@ USUAL: Mapping[str, Answer] = {
 
 
 @contextmanager
-def serving(build: Callable[[], Planner], **options: Any) -> Iterator[EgodriverServer]:
+def serving(build: Callable[[], Planner], **options: Any) -> Iterator[GrpcServer]:
     """A server of a planner."""
-    with EgodriverServer(EgodriverService(build, **{"cameras": {}, **options})) as server:
+    with GrpcServer(EgodriverService(build, **{"cameras": {}, **options})) as server:
         yield server
 
 

@@ -11,7 +11,7 @@ import benchmark
 from adapters.planners.constant_velocity import ConstantVelocity
 from benchmark.closed_loop.default_engine import DefaultBackend
 from benchmark.extensions.alpasim.messages import build_message
-from benchmark.extensions.alpasim.server import EgodriverServer
+from benchmark.extensions.alpasim.server import GrpcServer
 from benchmark.records.drives import load_drives
 from benchmark.runs.redriving import redrive_and_score
 from tests.benchmark.cli.in_process import run_here
@@ -127,13 +127,13 @@ def test_what_does_not_fit_is_refused_in_a_sentence(command: tuple[str, ...], sa
 
 
 def test_serve_listens_where_the_challenge_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    served: list[EgodriverServer] = []
+    served: list[GrpcServer] = []
 
-    def serve(self: EgodriverServer) -> None:
+    def serve(self: GrpcServer) -> None:
         served.append(self)
         self.close()
 
-    monkeypatch.setattr(EgodriverServer, "serve", serve)
+    monkeypatch.setattr(GrpcServer, "serve", serve)
     monkeypatch.setenv("ALPASIM_DRIVER_HOST", "0.0.0.0")
     monkeypatch.setenv("ALPASIM_DRIVER_PORT", "0")
     monkeypatch.setenv("ALPASIM_CONTESTANT_REPLICA_INDEX", "3")

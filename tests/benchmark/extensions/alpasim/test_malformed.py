@@ -7,7 +7,8 @@ import numpy as np
 from benchmark.extensions.alpasim.answers import EgodriverAnswerError, read_answer
 from benchmark.extensions.alpasim.messages import METHODS, build_message, decode_message, encode_message
 from benchmark.extensions.alpasim.poses import encode_trajectory
-from benchmark.extensions.alpasim.session import MOST_SESSIONS, CallRefusedError, EgodriverService
+from benchmark.extensions.alpasim.session import EgodriverService
+from benchmark.extensions.alpasim.sessions import MOST_SESSIONS, CallRefusedError
 from benchmark.untrusted.files import GRPC_MESSAGE, GRPC_PICTURE
 from tests.benchmark.closed_loop.seeing import Looking
 from tests.benchmark.extensions.alpasim.made import straight
@@ -37,7 +38,7 @@ def test_spoiled_requests_are_answered_or_refused_and_the_next_session_is_sound(
             assert str(error) and error.code in CODES, error
         assert len(service._sessions) <= MOST_SESSIONS
     assert refused > 20
-    service._sessions.pop(UUID, None)
+    service._sessions.close(UUID)
     for path, data in sound_requests():
         service.call(path, data, {})
 

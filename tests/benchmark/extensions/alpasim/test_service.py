@@ -9,13 +9,14 @@ import pytest
 
 from benchmark.closed_loop.episodes import run_episode
 from benchmark.constants import CAMERA_NAMES
-from benchmark.extensions.alpasim import session as sessions
+from benchmark.extensions.alpasim import sessions
 from benchmark.extensions.alpasim.cameras import encode_camera
 from benchmark.extensions.alpasim.connection import CONTRACT
 from benchmark.extensions.alpasim.messages import EGODRIVER, METHODS, build_message, decode_message, encode_message
 from benchmark.extensions.alpasim.model import egodriver_planner
 from benchmark.extensions.alpasim.poses import Poses, decode_trajectory, encode_states, encode_trajectory
-from benchmark.extensions.alpasim.session import CallRefusedError, EgodriverService
+from benchmark.extensions.alpasim.session import EgodriverService
+from benchmark.extensions.alpasim.sessions import CallRefusedError
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from benchmark.untrusted.files import GRPC_PICTURE
 from benchmark.untrusted.http_images import encode_picture
@@ -151,7 +152,7 @@ def test_sessions_that_nobody_asks_make_room(monkeypatch: pytest.MonkeyPatch) ->
     for number in range(sessions.MOST_SESSIONS):
         caller.start(str(number))
     assert refusal(lambda: caller.start("more")) == "RESOURCE_EXHAUSTED"
-    monkeypatch.setattr(sessions, "_IDLE_S", 0.0)
+    monkeypatch.setattr(sessions, "IDLE_S", 0.0)
     caller.start("more")
     assert len(caller.built) == sessions.MOST_SESSIONS
 
@@ -230,7 +231,7 @@ def test_bodies_of_cameras_are_turned_to_their_optical_axes() -> None:
     optical.start(cameras=declared())
     body.start(cameras=declared(body=True), **{CONTRACT: "1"})
     for name in CAMERA_NAMES:
-        one, other = (caller.service._sessions["a"].cameras[name] for caller in (optical, body))
+        one, other = (caller.service._sessions.find("a").cameras[name] for caller in (optical, body))
         assert one is not None and other is not None
         np.testing.assert_allclose(np.abs(one[1].rotation @ other[1].rotation), 1.0, atol=1e-6)
 

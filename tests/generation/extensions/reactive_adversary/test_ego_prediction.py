@@ -9,8 +9,8 @@ from benchmark.closed_loop.agent_policy import ActivePlan, TrafficSnapshot
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M
 from benchmark.geometry import Floats, quaternion_from_yaw
 from benchmark.scene import EgoTrack
+from generation.extensions.reactive_adversary.braking import brake_on_path
 from generation.extensions.reactive_adversary.ego_prediction import EgoObservations, predict_ego
-from generation.extensions.reactive_adversary.safe_endings import brake_on_path
 from generation.extensions.reactive_adversary.settings import EgoPrediction
 from tests.generation.extensions.reactive_adversary.loops import road
 

@@ -1,0 +1,1 @@
+"""AlpaSim's traffic contract, both ways: our adversary in other simulators, and other traffic in our drives."""
