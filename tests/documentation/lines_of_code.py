@@ -60,6 +60,7 @@ NOT_HERE: Final = (
     (r"challenge (check|score)", "entries of others; tests/benchmark/extensions/challenge has some"),
     (r"--shard |--model MODEL|generate --data ROOT", "several jobs; tests/benchmark/runs/test_sharded.py gives them"),
     (r"data review (?!.*--(list|verdicts))", "somebody who looks at a page"),
+    (r"--data challenged", "sessions of a simulator; tests/benchmark/extensions/alpasim/traffic makes some"),
     (r"--verdicts", "a file of verdicts; tests/benchmark/extensions/review has one"),
     (r"reproduce .*ROOT", "a file of expected values"),
     (r"my_package|--model vad-served", "a planner of your own"),
