@@ -5,9 +5,10 @@ there is a mask (``valid``); where it is not, the arrays hold the nearest valid 
 """
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Self
+from types import MappingProxyType
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,10 @@ class Conditions(StrEnum):
         """Read the look from a nuScenes scene description, which names night and rain in words."""
         named = cls.find_in(description)
         return next((look for look in (cls.RAIN, cls.NIGHT, cls.DUSK) if look in named), cls.DAY)
+
+
+UNUSUAL: Final = MappingProxyType({"unusual": True})
+"""Of a field that came later: content keys know it only where its value is not the default."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +95,8 @@ class EgoTrack:
 
     position: Floats
     rotation: Floats
-    length_m: float = EGO_LENGTH_M
-    width_m: float = EGO_BODY_WIDTH_M
+    length_m: float = field(default=EGO_LENGTH_M, metadata=UNUSUAL)
+    width_m: float = field(default=EGO_BODY_WIDTH_M, metadata=UNUSUAL)
 
     @property
     def yaw(self) -> Floats:
@@ -266,7 +271,7 @@ class Scene:
             self,
             timestamps_us=self.timestamps_us[:count],
             keyframes=keyframes,
-            ego=EgoTrack(self.ego.position[:count], self.ego.rotation[:count]),
+            ego=replace(self.ego, position=self.ego.position[:count], rotation=self.ego.rotation[:count]),
             agents=replace(
                 agents, position=agents.position[:, :count], yaw=agents.yaw[:, :count], valid=agents.valid[:, :count]
             ),

@@ -82,7 +82,7 @@ class DriveOptions:
         str | None,
         Option(
             "The others: replay (their tracks), idm (they keep distance, adversaries do not; default of adversarial "
-            "scenes), adversary (one of them challenges the ego), or traffic at grpc://HOST:PORT.",
+            "scenes), adversary (one challenges the ego), or grpc://HOST:PORT.",
             "Search",
             metavar="[replay|idm|adversary|grpc://HOST:PORT]",
         ),

@@ -205,7 +205,11 @@ def to_digestible(value: Any) -> Any:
     if isinstance(value, shapely.Geometry):
         return hashlib.sha256(shapely.to_wkb(value)).hexdigest()
     if is_dataclass(value) and not isinstance(value, type):
-        return {item.name: to_digestible(getattr(value, item.name)) for item in fields(value)}
+        known = {item.name: getattr(value, item.name) for item in fields(value)}
+        usual = {
+            item.name for item in fields(value) if item.metadata.get("unusual") and known[item.name] == item.default
+        }
+        return {name: to_digestible(part) for name, part in known.items() if name not in usual}
     if isinstance(value, dict):
         return {str(key): to_digestible(item) for key, item in value.items()}
     if isinstance(value, frozenset):

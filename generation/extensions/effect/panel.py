@@ -57,8 +57,9 @@ class SceneEffect:
 
     @property
     def probability(self) -> float:
-        """Of all runs together: their mean."""
-        return round(float(np.mean(np.concatenate(list(self.runs.values())))), DIGITS)
+        """Of the members together: their mean, weighted by the root of their seeds."""
+        weights = [len(rates) ** 0.5 for rates in self.runs.values()]
+        return round(float(np.average(list(self.members.values()), weights=weights)), DIGITS)
 
 
 def rank_by_effect(

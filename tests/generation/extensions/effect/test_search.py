@@ -55,6 +55,7 @@ def read(path: Path) -> Any:
     return json.loads(path.read_text())
 
 
+@pytest.mark.path
 def test_both_families_are_tried_and_every_attempt_has_its_fate(source: DataSet, built: Path) -> None:
     attempts, report = read_attempts(built / ATTEMPTS_FILE), read(built / "report.json")
     assert len(attempts) == report["tried"] == 6
