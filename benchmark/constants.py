@@ -16,6 +16,8 @@ LONGEST_PLAN_STEPS: Final = 16
 """Waypoints that a plan may have at most; records keep them all, protocols judge the first six."""
 PLAN_STEP_S: Final = 0.5
 """Time between waypoints; the last one that protocols judge is 3 s ahead."""
+PLAN_ERROR_M: Final = (1.04, 0.45)
+"""Standard deviations, along and across, of what accurate planners are off after 3 s and at speed."""
 FARTHEST_WAYPOINT_M: Final = 1e4
 """A waypoint farther than this is a mistake of units or frame (or of arithmetic), not a plan."""
 HORIZON_STEPS: Final = {"1s": 2, "2s": 4, "3s": 6}

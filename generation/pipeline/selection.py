@@ -186,8 +186,7 @@ def _select_first(chains: Sequence[AdversaryChain], per_scene: int) -> list[Adve
     selected = []
     for chain in chains:
         used = taken.setdefault(chain.scene_name, set())
-        labels = chain.links[-1].attempt.labels
-        encounter = ("" if labels is None else labels.manoeuvre, *sorted(chain.agent_ids))
+        encounter = (chain.kind, *sorted(chain.agent_ids))
         if len(used) < per_scene and encounter not in used:
             used.add(encounter)
             selected.append(chain)

@@ -111,6 +111,12 @@ class AdversaryChain:
         return f"{self.scene_name.replace('/', '-')}-{suffix}"
 
     @property
+    def kind(self) -> str:
+        """Primary manoeuvre of the last adversary; ``none`` where it has no labels."""
+        labels = self.links[-1].attempt.labels
+        return "none" if labels is None else labels.manoeuvre
+
+    @property
     def judgements(self) -> tuple[SceneAssessment, ...]:
         """Judgement on each adversary in the scene with all of them."""
         return self.links[-1].attempt.judgements

@@ -130,7 +130,7 @@ def _measure_recording(
     scene = source.scene(name)
     plans = {member: _plan(source, scene, member, seeds, panel) for member, seeds in panel.members}
     return [
-        (chain, measure_effect(chain.name, chain.adversarial(scene), _find_kind(chain), plans))
+        (chain, measure_effect(chain.name, chain.adversarial(scene), chain.kind, plans))
         for chain in chains
         if chain.scene_name == name
     ]
@@ -190,8 +190,3 @@ def _plan(source: DataSet, scene: Scene, member: str, seeds: int, panel: Planner
             ])
         )  # fmt: skip
     return planned
-
-
-def _find_kind(chain: AdversaryChain) -> str:
-    labels = chain.links[-1].attempt.labels
-    return "none" if labels is None else labels.manoeuvre

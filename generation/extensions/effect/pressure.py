@@ -6,7 +6,7 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.constants import FRAME_HZ, PLAN_STEP_S
+from benchmark.constants import FRAME_HZ, PLAN_ERROR_M, PLAN_STEP_S
 from benchmark.geometry import Bools, Floats, boxes_overlap, to_local
 from benchmark.scene import Scene
 from generation.search.recorded_ego_path import get_ego_path
@@ -14,9 +14,6 @@ from generation.search.recorded_ego_path import get_ego_path
 INSTANTS: Final = 3 * np.arange(1, 13)
 """Frames after a key frame, every quarter of a second of a plan."""
 HORIZONS_S: Final = (1.0, 2.0, 3.0)
-OFF_ALONG_M: Final = 1.04
-OFF_ACROSS_M: Final = 0.45
-"""Standard deviations of a plan after 3 s, as accurate planners are off (`adapters.planners.noisy_log`)."""
 LEAST_PRESSURE: Final = 0.001
 MOST_PRESSURE: Final = 0.1
 LEVEL: Final = 1.1
@@ -61,8 +58,7 @@ class EgoPlans:
         seconds = INSTANTS * PLAN_STEP_S / 6
         grown = (seconds / HORIZONS_S[-1]) ** 1.5 * np.minimum(1.0, 0.2 + way.speed[start] / 6.0)
         along, across = (
-            metres * errors[:, None] * grown[:, None]
-            for metres, errors in zip((OFF_ALONG_M, OFF_ACROSS_M), ERRORS.T, strict=True)
+            metres * errors[:, None] * grown[:, None] for metres, errors in zip(PLAN_ERROR_M, ERRORS.T, strict=True)
         )
         kept_speed = way.station[start] + way.speed[start] * seconds
         stations = np.concatenate([kept_speed[:, None], way.station[frames][:, None] + along], axis=1)
