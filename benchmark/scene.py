@@ -307,6 +307,43 @@ class Scene:
             adversaries=(*(known for known in self.adversaries if known != name), name),
         )
 
+    def with_track(self, agent: int, frames: slice, poses: Floats) -> Self:
+        """Replace the rest of the track of one who is no adversary, and answers the ego.
+
+        Args:
+            agent: Index of the agent.
+            frames: Contiguous frames at which it exists; it is gone after the last.
+            poses: As of `with_adversary`.
+
+        Returns:
+            A scene with the track, with annotations as of `with_adversary`.
+        """
+        changed = self.with_adversary(agent, frames, poses)
+        changed.agents.valid[agent, frames.stop :] = False
+        changed.annotations.valid[agent, self.keyframes >= frames.stop] = False
+        return replace(changed, adversaries=self.adversaries)
+
+    def with_ego(self, poses: Floats) -> Self:
+        """The same with an ego that was driven elsewhere; frames at which it was not stay as recorded, to the bit.
+
+        Args:
+            poses: (T, 3) x, y, yaw of the rear axle. Height and tilt are those of the nearest recorded place.
+
+        Returns:
+            A scene without poses of single sensors: all of them share the ego's.
+        """
+        ego = self.ego
+        moved = np.flatnonzero((poses != ego.pose).any(axis=1))
+        away = np.linalg.norm(poses[moved, None, :2] - ego.position[:, :2], axis=-1)
+        nearest = away.argmin(axis=1)
+        position, rotation = ego.position.copy(), ego.rotation.copy()
+        position[moved] = np.column_stack([poses[moved, :2], ego.position[nearest, 2]])
+        turned = 0.5 * (poses[moved, 2] - ego.yaw[nearest])
+        cos, sin = np.cos(turned), np.sin(turned)
+        w, x, y, z = ego.rotation[nearest].T
+        rotation[moved] = np.column_stack([cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w])
+        return replace(self, ego=replace(ego, position=position, rotation=rotation), sweep_poses=None)
+
     def _annotations_of(self, agents: Agents, agent: int, frames: slice) -> Annotations:
         old = self.annotations
         fields = {name: getattr(old, name).copy() for name in Annotations.__dataclass_fields__}

@@ -219,15 +219,16 @@ def _preview_embedded(
 ) -> SourcePreview:
     """The embedded data set, of which everything is known before it is built."""
     from benchmark.machine.workspace import GENERATED_SPLITS, cache_root, format_generate_options, is_finished
-    from benchmark.records.seed_splits import parse_seed
+    from benchmark.records.seed_splits import RECORDED_EGO, parse_ego, parse_seed
 
     splits = ("val", *GENERATED_SPLITS)
-    if parse_seed(split) is not None and not is_finished(made_by_seed := workspace(out).split_root(name, split)):
+    is_searched = parse_seed(split) is not None or parse_ego(split) != RECORDED_EGO
+    if is_searched and not is_finished(made := workspace(out).split_root(name, split)):
         raise InputError(
-            f"split {split!r} of {name} is missing at {made_by_seed}; build it with: challenger-bench generate "
+            f"split {split!r} of {name} is missing at {made}; build it with: challenger-bench generate "
             f"{format_generate_options(split)}{format_options(out=out)}"
         )
-    if parse_seed(split) is None and split not in splits:
+    if not is_searched and split not in splits:
         raise InputError(
             f"the embedded data set {name} has no split {split!r}; {did_you_mean(split, splits)}it has "
             f"{', '.join(splits)}"

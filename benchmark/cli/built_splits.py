@@ -2,7 +2,7 @@
 
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,6 +16,7 @@ from benchmark.cli.output import (
 )
 from benchmark.cli.settings import is_given
 from benchmark.errors import InputError
+from benchmark.records.seed_splits import RECORDED_EGO, format_ego_split, parse_seed
 from benchmark.report.words import format_options
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 SEARCH_OPTIONS: Final = (
     "freeze", "source_split", "adversaries", "surrogate", "surrogate_checkpoint", "vehicles", "per_scene", "top",
     "candidates", "rounds", "parked", "preset", "keep_unsolvable", "changes", "denoiser", "calls", "dropout", "samples",
-    "device", "together", "keep_rounds", "profile",
+    "device", "together", "keep_rounds", "profile", "ego",
 )  # fmt: skip
 """Options of ``generate`` that say nothing to a split that is built from a frozen one."""
 
@@ -104,6 +105,17 @@ def list_splits_to_build(options: "GenerateOptions", data: "DataSource") -> tupl
         if split_to_build.freeze is not None:
             require_freezable(split_to_build.split, split_to_build.freeze)
     return splits
+
+
+def name_after_ego(wanted: "Sequence[SplitToBuild]", ego: str) -> tuple[SplitToBuild, ...]:
+    """The same splits, called after who drives their ego: the search's, or a frozen split's own."""
+    named = []
+    for one in wanted:
+        driver = ego if one.frozen is None else one.frozen.frozen.search.ego or RECORDED_EGO
+        if driver != RECORDED_EGO and parse_seed(one.split) is not None:
+            raise InputError("--seeds builds splits of recorded egos; leave --seeds or --ego out")
+        named.append(replace(one, split=format_ego_split(one.split, driver)))
+    return tuple(named)
 
 
 def require_trajectory_model(device: str, denoiser: Path | None) -> None:

@@ -12,6 +12,7 @@ from benchmark.cli.built_splits import (
     is_edited,
     list_frozen_scenes,
     list_splits_to_build,
+    name_after_ego,
     print_built_splits,
     require_cluster,
     require_shardable,
@@ -38,6 +39,7 @@ def generate_command(options: GenerateOptions) -> None:
     from benchmark.runs.units import Shard
     from generation.search.differences_from_paper import format_differences
     from generation.search.presets import build_further_settings, build_hyper_parameters, build_trajectory_model
+    from generation.search.threat_settings import EgoDriver
 
     _require_generated(options.split)
     data = api.DataSource.of(options)
@@ -49,16 +51,18 @@ def generate_command(options: GenerateOptions) -> None:
             print_plan(first.plan(next_step), json_output=options.json_output)
             return
     wanted = list_splits_to_build(options, data)
-    frozen = wanted[0].frozen
     shortcuts = {
         "candidate_limit": options.vehicles,
         "candidates": options.candidates,
         "rounds": options.rounds,
         "parked": options.parked or None,
         "solvable": False if options.keep_unsolvable else None,
+        "ego": None if options.ego == "recorded" else EgoDriver(options.ego),
     }
     hyper = build_hyper_parameters(options.preset, shortcuts, options.changes or ())
     further = build_further_settings(options.preset, shortcuts, options.changes or ())
+    wanted = name_after_ego(wanted, hyper.ego.value)
+    frozen = wanted[0].frozen
     manoeuvres = _parse_manoeuvres(options)
     if options.variants is not None and options.per_scene is not None:
         raise InputError("--variants keeps scenes that differ, --per-scene the most challenging ones; give only one")

@@ -59,6 +59,10 @@ class GenerateOptions:
     vehicles: Annotated[int | None, Option("Vehicles to try per scene, at most.", "Search", min=1)] = None
     per_scene: Annotated[int | None, Option("Keep at most so many variants of a scene.", "Search", min=1)] = None
     surrogate: Annotated[str | None, Option("Keep only scenes in which this planner collides.", "Search")] = None
+    ego: Annotated[
+        Literal["recorded", "idm", "careful"],
+        Option("The ego: as recorded, or a reference driver who answers.", "Search"),
+    ] = "recorded"
     keep_unsolvable: Annotated[
         bool,
         Option("Keep scenes that nobody could have avoided (docs/severity.md).", "Search"),

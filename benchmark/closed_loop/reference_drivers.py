@@ -83,10 +83,10 @@ def _update_situation(
         situation.tracks.hides,
         float(situation.station.min()),
     )
-    return _CurrentSituation(situation, relations, world.ignored)
+    return CurrentSituation(situation, relations, world.ignored)
 
 
-class _CurrentSituation(DrivingSituation):
+class CurrentSituation(DrivingSituation):
     """A situation with other relations and other people to ignore."""
 
     def __init__(self, situation: DrivingSituation, relations: PathRelations, ignored: Bools) -> None:

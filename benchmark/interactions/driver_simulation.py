@@ -198,6 +198,11 @@ class DriverSimulation:
         self._memory.delay += np.array([[rung.late_steps] for rung in rungs], np.float64).reshape(-1, 1)
         self._free_speed = max(SLOWEST_REACTING_M_S, float(situation.speed.max()))
 
+    @property
+    def reaction(self) -> tuple[float, float]:
+        """Steps of reaction that are left to the first driver, and its braking, m/s^2."""
+        return float(self._memory.delay[0, 0]), float(self._memory.braking[0, 0])
+
     def step(self, step: int, seen: DrivingSituation, instant: int) -> None:
         """Decide and drive 0.1 s; at the beginning of the step all agents are as ``seen`` at the instant."""
         rungs, idm = self._rungs, self._idm

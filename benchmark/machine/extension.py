@@ -80,6 +80,8 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "retiming": "generation.extensions.effect.retiming:iterate_retimings",
         "conflicts": "generation.extensions.effect.conflicts:describe_conflicts",
         "panel": "generation.extensions.effect.panel:rank_by_effect",
+        "ego": "generation.extensions.reactive_adversary.driven_ego:drive_undisturbed",
+        "pressing": "generation.extensions.reactive_adversary.pressing:PressingPlanning",
     },
     # Pictures of scenes for ``data show``.
     "pictures": {"conditions": "generation.extensions.magicdrive.condition_pictures:write_condition_pictures"},

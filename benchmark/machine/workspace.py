@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from benchmark.errors import InputError
 from benchmark.machine.user_cache import cache_root as cache_root
-from benchmark.records.seed_splits import parse_seed
+from benchmark.records.seed_splits import RECORDED_EGO, parse_ego, parse_seed, strip_ego
 from benchmark.report.words import format_options
 
 if TYPE_CHECKING:
@@ -50,7 +50,9 @@ def find_timings_folder(made: Path) -> Path:
 
 def format_generate_options(split: str) -> str:
     """Options of ``generate`` that make a split; of a split of one seed, with another seed beside it."""
-    seed = parse_seed(split)
+    seed, ego = parse_seed(split), parse_ego(split)
+    if ego != RECORDED_EGO:
+        return f"--split {strip_ego(split)} --ego {ego}"
     return f"--split {split}" if seed is None else f"--seeds {seed},{seed + 1}"
 
 
@@ -168,7 +170,7 @@ def hint_at_earlier_town(data: str) -> str:
 
 def is_generated(split: str) -> bool:
     """Whether `generate` builds splits of a name."""
-    return split in GENERATED_SPLITS or parse_seed(split) is not None
+    return strip_ego(split) in GENERATED_SPLITS or parse_seed(split) is not None
 
 
 def is_finished(root: Path) -> bool:

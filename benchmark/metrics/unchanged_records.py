@@ -13,7 +13,7 @@ from benchmark.metrics.scores import map_scenes_to_sources
 from benchmark.records.planner_versions import PLANS_SHA256, describe_version
 from benchmark.records.run import RunRecord, load_record
 from benchmark.records.run_schema import PlannerFacts
-from benchmark.records.seed_splits import is_adversarial
+from benchmark.records.seed_splits import RECORDED_EGO, format_ego_split, is_adversarial, parse_ego, strip_ego
 from benchmark.records.store import RUN_FILE
 
 UNCHANGED_SPLITS: Final = ("val-r", "val")
@@ -42,9 +42,13 @@ def find_unchanged_record(
         split = candidate.run.split
         if not shared or is_adversarial(split) or candidate.run.data.name not in data_names:
             continue
+        # An ego that reacts is compared with the same driver undisturbed, never with the recorded one.
+        if parse_ego(split) != parse_ego(record.run.split):
+            continue
         if not _same_planner(record, candidate):
             continue
-        rank = (shared, -order.index(split) if split in order else -len(order))
+        plain = strip_ego(split)
+        rank = (shared, -order.index(plain) if plain in order else -len(order))
         if best is None or rank >= best[0]:
             best = rank, candidate
     return None if best is None else best[1]
@@ -55,14 +59,14 @@ def find_unchanged_candidates(
 ) -> list[RunRecord]:
     """Records on val-r and val of the same planners, the newest last, below a folder; damaged ones are left out."""
     wanted = {
-        (data_name, record.run.planner.name)
+        (data_name, record.run.planner.name, parse_ego(record.run.split))
         for record in records
         if has_adversaries(record)
         for data_name in _find_data_names(record, elsewhere)
     }
     candidates: list[RunRecord] = []
-    for data_name, planner in sorted(wanted):
-        for split in UNCHANGED_SPLITS:
+    for data_name, planner, ego in sorted(wanted):
+        for split in UNCHANGED_SPLITS if ego == RECORDED_EGO else (format_ego_split("val-r", ego),):
             folder = root / sanitise_file_name(data_name) / sanitise_file_name(split)
             for head in folder.glob(f"{glob.escape(sanitise_file_name(planner))}*/{RUN_FILE}"):
                 with suppress(InputError):

@@ -218,6 +218,8 @@ def list_stored_labels(report: Any) -> list[Any]:
 SEARCH: Final = "search"
 """In ``challenger.json`` of such a split: hash of everything but the seed that decided its search."""
 
+EGO: Final = "ego"
+"""In a root's provenance: which reference driver has the recorded ego's place, if one has."""
 PANEL: Final = "panel"
 """In ``challenger.json`` of a split whose scenes were chosen by planners: their names and seeds, as text."""
 

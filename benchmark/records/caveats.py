@@ -22,12 +22,13 @@ CaveatKind = Literal[
     "pose",
     "plans",
     "panel",
+    "ego",
     "as-is",
     "older",
 ]
 KINDS: Final[tuple[CaveatKind, ...]] = get_args(CaveatKind)
 """In the order in which they are printed."""
-OF_THE_DOOR: Final[frozenset[CaveatKind]] = frozenset({"as-is", "cameras", "panel"})
+OF_THE_DOOR: Final[frozenset[CaveatKind]] = frozenset({"as-is", "cameras", "panel", "ego"})
 """Kinds that only the command that made the plans, or took them in, knows: judging stored plans anew keeps them."""
 
 

@@ -8,7 +8,7 @@ from benchmark.datasets.annotated_objects import AnnotationCount
 from benchmark.datasets.categories import SENSOR
 from benchmark.datasets.truth_facts import MISFIT_SHARE, are_boxes_across
 from benchmark.machine.extension import call_extension
-from benchmark.records.attempts import PANEL
+from benchmark.records.attempts import EGO, PANEL
 from benchmark.records.caveats import OF_THE_DOOR, Caveat, sort_caveats
 from benchmark.records.drive_schema import ClosedLoopDefinition, EpisodeRow
 from benchmark.records.rows import SampleRows
@@ -110,6 +110,10 @@ def list_source_caveats(planner: PlannerFacts, data: "DataSet", scenes: Sequence
     panel = (data.provenance() or {}).get(PANEL)
     chosen = f"scenes were chosen by how hard they are for {panel}, which is not held out"
     caveats = [Caveat(kind="panel", sentence=chosen[:1000])] if isinstance(panel, str) else []
+    ego = (data.provenance() or {}).get(EGO)
+    if isinstance(ego, str):
+        driven = f"the ego is not the recorded one: the reference driver {ego[:20]} drove it and saw what happened"
+        caveats.append(Caveat(kind="ego", sentence=f"{driven}; L2 is the distance to where it went"))
     if not any(name.startswith(SENSOR) for name, _ in data.categories):
         return caveats
     sentences = call_extension("names", "caveats", planner, data.categories, data.scene(scenes[0]).cameras)

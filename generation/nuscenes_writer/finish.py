@@ -13,7 +13,8 @@ from benchmark.datasets.scene_names import NAME, PROVENANCE, SHIFT_US
 from benchmark.datasets.split_reviews import LEFT_OUT
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, write_bytes, write_json, writing_to
-from benchmark.records.attempts import PANEL, SEARCH
+from benchmark.records.attempts import EGO, PANEL, SEARCH
+from benchmark.records.seed_splits import RECORDED_EGO
 from generation.nuscenes_writer.maps import write_maps
 from generation.nuscenes_writer.plan import DataSetPlan, require_own_root
 from generation.nuscenes_writer.scenes import NUMBER, place_file, read_state, read_stored_fragment, release_claim
@@ -234,6 +235,8 @@ def _build_provenance(plan: DataSetPlan, members: Sequence[Fragment]) -> dict[st
         provenance[SEARCH] = plan.search
     if plan.panel:
         provenance[PANEL] = plan.panel
+    if plan.ego != RECORDED_EGO:
+        provenance[EGO] = plan.ego
     return provenance
 
 

@@ -17,6 +17,7 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, make_token
 from benchmark.machine.workspace import strip_version
 from benchmark.records.review import StandingVerdict
+from benchmark.records.seed_splits import RECORDED_EGO
 from benchmark.runs.units import ResultStore
 from benchmark.scene import Camera, Scene
 from generation.nuscenes_writer.numbering import SceneNumber
@@ -70,6 +71,7 @@ class DataSetPlan:
         search: Hash of what decided its search beside the seed; of splits that are called after their seed alone.
         panel: Planners that chose among its scenes, with their seeds; empty where none did.
         left_out: Scenes that an inspector rejected, each with the number of its variant; none of another split.
+        ego: Who drives the ego: ``recorded``, or the reference driver that drove its poses.
         keeps_instances: Whether identifiers of objects stay what they are in every scene, because each is in one scene
             alone: of imported scenes, which may be variants that had identifiers of their own already.
     """
@@ -90,6 +92,7 @@ class DataSetPlan:
     left_out: tuple[tuple[int, StandingVerdict], ...] = ()
     keeps_instances: bool = False
     panel: str = ""
+    ego: str = RECORDED_EGO
 
     def __post_init__(self) -> None:
         if not 1 <= self.jpeg_quality <= 100:

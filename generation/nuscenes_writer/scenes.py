@@ -22,6 +22,7 @@ from benchmark.machine.storage import (
     write_json,
     writing_to,
 )
+from benchmark.records.seed_splits import RECORDED_EGO
 from benchmark.road_map import RoadMap
 from benchmark.scene import Camera, Scene
 from generation.nuscenes_writer.can_bus import build_can_bus_files
@@ -108,7 +109,9 @@ def write_scene_if_missing(
     channels = build_channels(cameras, tracks, recorded)
     vocabulary = LabelVocabulary.of(plan.source)
     tables = build_scene_tables(names, vocabulary, timed, channels, frames)
-    messages = build_can_bus_files(timed, name=name, source=plan.source, source_scene=source_scene, shift_us=shift_us)
+    # What the recorded car measured is not what a driven ego would have measured.
+    measured = plan.source if plan.ego == RECORDED_EGO else None
+    messages = build_can_bus_files(timed, name=name, source=measured, source_scene=source_scene, shift_us=shift_us)
     sensor_files = _list_sensor_files(plan, tables["sample_data"])
     existing_pictures = _keep_pictures(plan, key, variant, name, sensor_files)
     placed = (_place(path, name, names.row) for path in messages)

@@ -7,6 +7,7 @@ from benchmark.datasets.roots import DataSet
 from benchmark.datasets.scene_names import resolve_names
 from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.workspace import is_generated
+from benchmark.records.seed_splits import format_ego_split, parse_ego, strip_ego
 from benchmark.report.words import pluralise
 from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.pipeline.settings import BuildSettings
@@ -19,6 +20,7 @@ from generation.splits.packaged import require_seed
 def require_buildable(source: DataSet, split: str, settings: BuildSettings) -> tuple[str, ...]:
     """Refuse what cannot be built, as `build_split` does; gives the recorded scenes that are used."""
     require_generated(split)
+    require_ego(split, settings)
     require_seed(split, settings.seed, f"--seed {settings.seed}")
     require_not_frozen(settings.out)
     if settings.freeze is not None:
@@ -52,6 +54,13 @@ def require_generated(split: str) -> None:
     """Raise `InputError` for a split that cannot be generated."""
     if not is_generated(split):
         raise InputError(f"cannot generate split {split!r}; choose val-r, adv, or adv-seed-N with seed N")
+
+
+def require_ego(split: str, settings: BuildSettings) -> None:
+    """Raise `InputError` for a split that is called after another ego than the one that drives."""
+    if parse_ego(split) != settings.hyper.ego.value:
+        name = format_ego_split(strip_ego(split), settings.hyper.ego.value)
+        raise InputError(f"the ego is {settings.hyper.ego.value}, so the split is not {split}; build it as {name}")
 
 
 def list_source_scenes(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:

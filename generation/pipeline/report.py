@@ -7,6 +7,7 @@ from typing import Any
 
 from benchmark.datasets.roots import DataSet
 from benchmark.records.scene_assessment import is_unsolvable
+from benchmark.records.seed_splits import strip_ego
 from benchmark.report.words import pluralise
 from generation.pipeline.estimate import (
     KEPT_SHARE,
@@ -73,6 +74,7 @@ class BuildReport:
     runtime: RuntimeTable | None = None
     dry_run: bool = False
     unlabelled: tuple[str, ...] = ()
+    collided: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -113,11 +115,12 @@ class BuildReport:
         """The report as JSON values."""
         values = asdict(self)
         del values["runtime"], values["panel_s"]
-        values["unlabelled"] = list(self.unlabelled)
         if self.panel is None:
             del values["panel"]
-        if not self.unlabelled:
-            del values["unlabelled"]
+        for name in ("unlabelled", "collided"):
+            values[name] = list(values[name])
+            if not values[name]:
+                del values[name]
         return {**values, "written": list(self.written)}
 
     def sentence(self) -> str:
@@ -125,13 +128,14 @@ class BuildReport:
         if self.dry_run:
             work = (
                 ""
-                if self.split == "val-r"
+                if strip_ego(self.split) == "val-r"
                 else f", {pluralise(self.tried, 'vehicle')} to try ({self.finished_before} of them done)"
             )
             about = "" if self.estimate is None else f"; {self.estimate.sentence()}"
             return f"would build {self.split} from {pluralise(self.scenes, 'scene')}{work}{about}; nothing was written"
-        if self.split == "val-r":
-            return f"{pluralise(len(self.written), 'scene')} rendered again"
+        if strip_ego(self.split) == "val-r":
+            left = f", {len(self.collided)} left out in which the driven ego touches others" if self.collided else ""
+            return f"{pluralise(len(self.written), 'scene')} rendered again{left}"
         reasons = ", ".join(f"{count} {reason}" for reason, count in sorted({**self.discarded, **self.dropped}.items()))
         return (
             f"{pluralise(self.scenes, 'scene')}, {pluralise(self.tried, 'vehicle')} tried, "
@@ -151,7 +155,7 @@ class BuildReport:
         return f"{self._summary(verbose=verbose)}\n  {skipped}"
 
     def _summary(self, *, verbose: bool) -> str:
-        if self.dry_run or self.split == "val-r":
+        if self.dry_run or strip_ego(self.split) == "val-r":
             return self.sentence()
         written_count = self.tried - sum(self.discarded.values()) - sum(self.dropped.values())
         rows = [("written", written_count, f"in {pluralise(len(self.written), 'scene')}")]
@@ -206,13 +210,13 @@ def _count_requests(result: SearchResult, written: Sequence[AdversaryChain]) -> 
 def estimate_build(source: DataSet, split: str, settings: BuildSettings) -> BuildReport:
     """Preview of `generation.pipeline.split.build_split`, with an estimate; arguments and errors as there."""
     names = require_buildable(source, split, settings)
-    if split != "val-r":
+    if strip_ego(split) != "val-r":
         search = build_search(source, names, settings)
         return replace(_estimate_search(source, search, names, settings), split=split)
     scene_s, workers = _estimate_rendering_seconds(source, names, settings), count_workers(settings.where_rendered)
     about = WorkEstimate(0, 0.0, len(names), scene_s, workers, workers)
     skipped = list_unlabelled_scenes(source, settings)
-    return BuildReport("val-r", len(names), estimate=about, dry_run=True, unlabelled=skipped)
+    return BuildReport(split, len(names), estimate=about, dry_run=True, unlabelled=skipped)
 
 
 def _estimate_search(source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings) -> BuildReport:

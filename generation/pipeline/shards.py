@@ -7,6 +7,7 @@ from typing import Literal, TypeVar
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.machine.progress import CountedUnits
+from benchmark.records.seed_splits import strip_ego
 from benchmark.runs.units import Shard, ShardProgress
 from generation.nuscenes_writer import DataSetPlan
 from generation.nuscenes_writer.plan import require_own_root
@@ -42,8 +43,8 @@ def build_shard(source: DataSet, split: str, settings: BuildSettings, shard: Sha
             "that runs last, without --shard"
         )
     names = require_buildable(source, split, settings)
-    if split == "val-r":
-        plan, jobs, files = prepare_originals(source, names, settings)
+    if strip_ego(split) == "val-r":
+        plan, jobs, _, files = prepare_originals(source, split, names, settings)
         return _draw_part(source, plan, shard.part(jobs), len(jobs), files, settings)
     search = build_search(source, names, settings)
     prepared = _find_finished_search(source, split, search, names, settings)

@@ -5,6 +5,7 @@ Every step is resumable and gives the same bytes for any executor, on processors
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from benchmark.datasets.roots import DataSet
@@ -12,9 +13,8 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, lock_folder
 from benchmark.records.attempts import ATTEMPTS_FILE
 from benchmark.records.review import StandingVerdict
-from benchmark.records.seed_splits import parse_seed
+from benchmark.records.seed_splits import parse_seed, strip_ego
 from benchmark.report.words import pluralise
-from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, SourceInfo
 from generation.pipeline.estimate import build_runtime_table
 from generation.pipeline.recordings import build_search, list_unlabelled_scenes, require_buildable
@@ -29,8 +29,10 @@ from generation.pipeline.writing import (
     withdraw,
     write_scenes,
 )
+from generation.search.adversary import does_ego_already_collide, drive_ego
 from generation.search.chains import AdversaryChain, SearchResult, search_chains
 from generation.search.definition import Search
+from generation.search.threat_settings import EgoDriver
 from generation.splits.format import FrozenRejection, SceneChoice, write_frozen
 from generation.splits.freezing import build_search_metadata, freeze_split
 from generation.splits.packaged import compute_search_hash
@@ -50,7 +52,7 @@ def build_split(source: DataSet, split: str, settings: BuildSettings) -> BuildRe
     Args:
         source: Recorded scenes.
         split: ``adv`` (adversarial), the same with one of several seeds (``adv-seed-3``), or ``val-r`` (the originals,
-            rendered again).
+            rendered again); ``adv-ego-idm`` and ``val-r-ego-idm`` with the ego of the settings of the search.
         settings: Settings of the build.
 
     Returns:
@@ -64,8 +66,8 @@ def build_split(source: DataSet, split: str, settings: BuildSettings) -> BuildRe
     if settings.dry_run:
         return estimate_build(source, split, settings)
     names = require_buildable(source, split, settings)
-    if split == "val-r":
-        return _build_originals(source, names, settings)
+    if strip_ego(split) == "val-r":
+        return _build_originals(source, split, names, settings)
     search = build_search(source, names, settings)
     with lock_folder(settings.out):
         return _build_adversarial(source, split, search, names, settings)
@@ -189,30 +191,36 @@ def _build_frozen_rejections(rejected: Sequence[tuple[int, StandingVerdict]]) ->
 
 
 def prepare_originals(
-    source: DataSet, names: Sequence[str], settings: BuildSettings
-) -> tuple[DataSetPlan, list[WritingJob], dict[str, bytes]]:
-    """Data set of recordings that are rendered again: its plan, its scenes, and reports by file name."""
-    jobs = [WritingJob(name.replace("/", "-"), name.replace("/", "-"), name, 0, _keep_unchanged, {}) for name in names]
-    report = _build_report_of_originals(source, jobs, settings)
-    return _build_plan(source, "val-r", settings), jobs, _build_report_files(report, SearchResult(), [])
+    source: DataSet, split: str, names: Sequence[str], settings: BuildSettings
+) -> tuple[DataSetPlan, list[WritingJob], BuildReport, dict[str, bytes]]:
+    """Data set of recordings that are rendered again: its plan, its scenes, the report, and that by file name.
+
+    Recordings in which a reference driver in the ego's place touches anything are left out, as the search does.
+    """
+    ego = settings.hyper.ego
+    collided = [
+        name
+        for name in (names if ego is not EgoDriver.RECORDED else ())
+        if does_ego_already_collide(drive_ego(source.scene(name), ego))
+    ]
+    kept, make = [name for name in names if name not in collided], partial(drive_ego, ego=ego)
+    if not kept:
+        raise InputError(
+            f"the driven ego touches others in all of {pluralise(len(names), 'scene')}; choose another --ego"
+        )
+    jobs = [WritingJob(name.replace("/", "-"), name.replace("/", "-"), name, 0, make, {}) for name in kept]
+    unlabelled = list_unlabelled_scenes(source, settings)
+    written = tuple(job.name for job in jobs)
+    report = BuildReport(split, len(jobs), written=written, unlabelled=unlabelled, collided=tuple(collided))
+    return _build_plan(source, split, settings), jobs, report, _build_report_files(report, SearchResult(), [])
 
 
-def _build_originals(source: DataSet, names: Sequence[str], settings: BuildSettings) -> BuildReport:
-    plan, jobs, files = prepare_originals(source, names, settings)
-    report = _build_report_of_originals(source, jobs, settings)
+def _build_originals(source: DataSet, split: str, names: Sequence[str], settings: BuildSettings) -> BuildReport:
+    plan, jobs, report, files = prepare_originals(source, split, names, settings)
     with lock_folder(settings.out):
         publish_reports(settings.out, files)
         notes = _write(source, plan, jobs, settings)
     return replace(report, runtime=build_runtime_table([], notes))
-
-
-def _build_report_of_originals(source: DataSet, jobs: Sequence[WritingJob], settings: BuildSettings) -> BuildReport:
-    written = tuple(job.name for job in jobs)
-    return BuildReport("val-r", len(jobs), written=written, unlabelled=list_unlabelled_scenes(source, settings))
-
-
-def _keep_unchanged(scene: Scene) -> Scene:
-    return scene
 
 
 def _build_plan(source: DataSet, split: str, settings: BuildSettings) -> DataSetPlan:
@@ -226,6 +234,7 @@ def _build_plan(source: DataSet, split: str, settings: BuildSettings) -> DataSet
         jpeg_quality=settings.jpeg_quality,
         lossless=settings.lossless,
         source=SourceInfo.of(source),
+        ego=settings.hyper.ego.value,
     )
 
 

@@ -21,12 +21,13 @@ from benchmark.scene import Scene
 from generation.labels.labelling import compute_labels, compute_times_to_collision, find_closest_approach
 from generation.labels.manoeuvres import Manoeuvre
 from generation.search.candidates import find_launch_frame
+from generation.search.driven_tracks import DrivenTracks
 from generation.search.hyperparameters import DiscardRules, HyperParameters
 from generation.search.planning import AdversaryPlanning
 from generation.search.proposals import Diversify, Prior, SearchSeconds, SearchSteps, run_searches
 from generation.search.ranking import compute_challenge_score
 from generation.search.recorded_motion import find_log_replay_contacts
-from generation.search.threat_settings import CandidateProposal
+from generation.search.threat_settings import CandidateProposal, EgoDriver
 from generation.search.verify import DiscardReason, VerificationFailure, check_fairness, count_masked_steps, verify
 
 ALGORITHM_VERSION = "4"
@@ -38,6 +39,7 @@ class SearchOutcome:
     """Outcome of the search with one (scene, vehicle, seed).
 
     ``poses`` are (T - start, 3), executed, of the box centre; fewer where planning gave up, (0, 3) without launch.
+    ``driven`` are tracks of an ego that reacted.
     ``stage_seconds`` are processor seconds of all tries: sampling, physics, scoring, other (everything else).
     """
 
@@ -47,6 +49,7 @@ class SearchOutcome:
     scene: Scene | None = None
     rounds: tuple[TraceFrame, ...] = ()
     stage_seconds: dict[str, float] = field(default_factory=dict)
+    driven: DrivenTracks | None = None
 
     @property
     def kept(self) -> bool:
@@ -115,30 +118,42 @@ def _search_vehicle(
     asked: Manoeuvre | None,
 ) -> SearchSteps[SearchOutcome]:
     """Search until a result is kept or there is no use in another try."""
-    sampled = hyper.proposal is CandidateProposal.SAMPLED
-    start = find_launch_frame(scene, agent, hyper) if sampled else 0
+    sampled, reacts = hyper.proposal is CandidateProposal.SAMPLED, hyper.ego is not EgoDriver.RECORDED
+    alone = drive_ego(scene, hyper.ego)
+    start = find_launch_frame(alone, agent, hyper) if sampled else 0
     blank = _build_blank_outcome(scene.name, scene.agents.ids[agent], seed, start, asked)
     if start is None:
         return blank.discarded(VerificationFailure(DiscardReason.NEVER_LAUNCHED))
-    if hyper.discards is not DiscardRules.REFERENCE and does_ego_already_collide(scene):
+    if hyper.discards is not DiscardRules.REFERENCE and does_ego_already_collide(alone):
         return blank.discarded(VerificationFailure(DiscardReason.ORIGINAL_COLLIDES))
     if not sampled:
         return _judge_proposed(blank, scene, agent, hyper, diversify, model, earlier)
     content = (compute_scene_identity(scene), blank.attempt.agent, seed, hyper.fingerprint, prior_fingerprint)
     request = () if asked is None else (asked.value,)
     stages = {"physics": 0.0, "scoring": 0.0}
-    result = blank
+    kind = import_from_extension("search", "pressing") if reacts else AdversaryPlanning
+    result, most = blank, -1.0
     for number in range(hyper.tries):
         rng = np.random.default_rng(content_seed(*content, ALGORITHM_VERSION, number, *request))
-        planning = AdversaryPlanning(scene, agent, start, hyper, diversify, model, rng, stages, keep_rounds, asked)
+        planning = kind(scene, agent, start, hyper, diversify, model, rng, stages, keep_rounds, asked)
         driven = yield from planning.run()
         attempt = blank.attempt.model_copy(update={"tries": number + 1, "plans": driven.plans})
-        outcome = SearchOutcome(attempt, None, driven.poses, rounds=driven.rounds)
-        result = _assess(outcome, planning, earlier) if driven.failure is None else outcome.discarded(driven.failure)
+        outcome = SearchOutcome(attempt, None, driven.poses, rounds=driven.rounds, driven=driven.driven)
+        tried = _assess(outcome, planning, earlier) if driven.failure is None else outcome.discarded(driven.failure)
+        pressure = driven.pressure if tried.kept else -1.0
+        if number == 0 or pressure > most or not result.kept:
+            result, most = tried, pressure
         # A vehicle that left the area drives away from it, and would leave it again.
-        if result.finding is None or result.finding.reason is DiscardReason.LEAVES_AREA:
+        left = tried.finding is not None and tried.finding.reason is DiscardReason.LEAVES_AREA
+        if not reacts and (tried.kept or left):
             break
     return replace(result, stage_seconds=stages)
+
+
+def drive_ego(scene: Scene, ego: EgoDriver) -> Scene:
+    """A scene with its ego as that drives where nobody challenges it: as recorded, or a reference driver."""
+    driven: Scene = scene if ego is EgoDriver.RECORDED else import_from_extension("search", "ego")(scene, ego)
+    return driven
 
 
 def _judge_proposed(
@@ -188,7 +203,8 @@ def _build_blank_outcome(
 
 def _assess(outcome: SearchOutcome, planning: AdversaryPlanning, earlier: Mapping[str, int]) -> SearchOutcome:
     agent, start = planning.agent, planning.start
-    changed = planning.scene.with_adversary(agent, slice(start, start + len(outcome.poses)), outcome.poses)
+    changed = planning.scene if outcome.driven is None else outcome.driven.put_into(planning.scene)
+    changed = changed.with_adversary(agent, slice(start, start + len(outcome.poses)), outcome.poses)
     # The reference code makes all its checks at the planning frames.
     verified_here = planning.hyper.discards is not DiscardRules.REFERENCE
     finding = verify(changed, agent, start, planning.hyper, planning.model.limits) if verified_here else None

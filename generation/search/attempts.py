@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, field_serializer
+from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, field_serializer, model_serializer
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
@@ -20,9 +20,10 @@ from benchmark.records.scene_pages import SCHEMA, RefinementTrace, TraceFrame
 from benchmark.runs.units import ResultStore, run_units
 from benchmark.scene import Scene
 from benchmark.scene_pages.page_tracks import find_origin
-from generation.search.adversary import SearchOutcome, search_vehicles
+from generation.search.adversary import SearchOutcome, drive_ego, search_vehicles
 from generation.search.candidates import Eligibility, compute_eligibility
 from generation.search.definition import EarlierAdversary, Search, SearchUnit
+from generation.search.driven_tracks import DrivenTracks
 from generation.search.hyperparameters import DiscardRules, HyperParameters
 from generation.search.verify import verify
 
@@ -30,14 +31,49 @@ SAME_M: Final = 1e-9
 """How far a track that is searched again for its rounds may be from the one that was kept; radians for the heading."""
 
 
+Poses = tuple[tuple[float, float, float], ...]
+
+
+class StoredDrive(BaseModel):
+    """`DrivenTracks` on disk: ``others`` are first frames and poses by identifier."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    ego: Poses
+    others: dict[str, tuple[int, Poses]]
+
+    @classmethod
+    def of(cls, driven: DrivenTracks) -> "StoredDrive":
+        """Stored form of tracks."""
+        return cls.model_validate({
+            "ego": driven.ego.tolist(),
+            "others": {name: (first, track.tolist()) for name, (first, track) in driven.others.items()},
+        })  # fmt: skip
+
+    @property
+    def tracks(self) -> DrivenTracks:
+        """The tracks."""
+        others = {name: (first, np.array(poses, np.float64)) for name, (first, poses) in self.others.items()}
+        return DrivenTracks(np.array(self.ego, np.float64), others)
+
+
 class StoredAttempt(BaseModel):
-    """A finished attempt on disk. ``poses`` are its (T - start, 3) executed poses, none where it was discarded."""
+    """A finished attempt on disk. ``poses`` are its (T - start, 3) executed poses, none where it was discarded.
+
+    ``driven`` are tracks of an ego that reacted.
+    """
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
     agent: int
     report: Attempt
-    poses: tuple[tuple[float, float, float], ...]
+    poses: Poses
+    driven: StoredDrive | None = None
+
+    @model_serializer(mode="wrap")
+    def _omit_what_was_recorded(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values: dict[str, Any] = plain(self)
+        return {name: value for name, value in values.items() if name != "driven" or value is not None}
 
     @field_serializer("report")
     def _as_written(self, report: Attempt) -> dict[str, Any]:
@@ -47,7 +83,13 @@ class StoredAttempt(BaseModel):
     def of(cls, unit: SearchUnit, result: SearchOutcome) -> "StoredAttempt":
         """Stored form of an attempt."""
         poses = result.poses.tolist() if result.kept else []
-        return cls(agent=unit.agent, report=result.attempt, poses=tuple((x, y, yaw) for x, y, yaw in poses))
+        driven = result.driven if result.kept else None
+        return cls(
+            agent=unit.agent,
+            report=result.attempt,
+            poses=tuple((x, y, yaw) for x, y, yaw in poses),
+            driven=None if driven is None else StoredDrive.of(driven),
+        )
 
     def adversarial(self, scene: Scene) -> Scene:
         """The kept scene: the one that the attempt started from, earlier adversaries in it, with the stored track."""
@@ -59,7 +101,8 @@ class StoredAttempt(BaseModel):
                 ".challenger folder of the output and run again"
             )
         poses: Floats = np.array(self.poses, dtype=np.float64)
-        return scene.with_adversary(self.agent, slice(start, start + len(poses)), poses)
+        driven = scene if self.driven is None else self.driven.tracks.put_into(scene)
+        return driven.with_adversary(self.agent, slice(start, start + len(poses)), poses)
 
 
 def read_or_compute_eligibility(
@@ -70,7 +113,7 @@ def read_or_compute_eligibility(
     cached = store.get(key)
     if cached is not None and cached.scene_name == scene_name:
         return cached
-    computed = compute_eligibility(read(), search.hyper, search.seed)
+    computed = compute_eligibility(drive_ego(read(), search.hyper.ego), search.hyper, search.seed)
     if keep:
         store.put(key, computed)
     return computed

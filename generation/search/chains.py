@@ -18,6 +18,7 @@ from benchmark.records.attempts import Attempt
 from benchmark.records.scene_assessment import SceneAssessment
 from benchmark.scene import Scene
 from generation.labels.manoeuvres import Manoeuvre
+from generation.search.adversary import drive_ego
 from generation.search.attempts import StoredAttempt, read_or_compute_eligibility, run_attempts
 from generation.search.candidates import Eligibility, find_launch_frame
 from generation.search.definition import EarlierAdversary, Search, SearchUnit
@@ -266,7 +267,7 @@ def _choose_vehicles(
     ]
     if not search.asked:
         return vehicles, units
-    scene = scenes.of(chain)
+    scene = drive_ego(scenes.of(chain), search.hyper.ego)
     starts = [find_launch_frame(scene, unit.agent, search.hyper) for unit in units]
     return vehicles, [
         replace(unit, asked=kind)

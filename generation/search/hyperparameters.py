@@ -14,7 +14,7 @@ from benchmark.dynamics.reference_path import WAYPOINTS
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key
-from generation.search.threat_settings import NEUTRAL, CandidateProposal, ThreatSettings, parse_setting
+from generation.search.threat_settings import NEUTRAL, CandidateProposal, EgoDriver, ThreatSettings, parse_setting
 
 CANDIDATE_FRAMES = WAYPOINTS * FRAMES_PER_KEYFRAME
 """Frames that a candidate lasts: 8 s at 12 Hz."""
@@ -179,6 +179,7 @@ class HyperParameters(ThreatSettings):
         launch: When an adversary takes over.
         discards: Reasons to drop a scene.
         proposal: Where tracks come from; of the others than ``sampled`` at most ``tries`` of a vehicle are judged.
+        ego: Who drives the ego. Where it reacts, all ``tries`` are made, and the one that presses it most is kept.
         solvable: Whether a scene that no driver could have avoided is dropped (``docs/severity.md``, "What solvable
             means"). Neither the paper nor the code asks. No track depends on it.
     """
@@ -236,6 +237,7 @@ class HyperParameters(ThreatSettings):
     launch: LaunchRule = LaunchRule.NEAR
     discards: DiscardRules = DiscardRules.OURS
     proposal: CandidateProposal = CandidateProposal.SAMPLED
+    ego: EgoDriver = EgoDriver.RECORDED
     solvable: bool = True
 
     @classmethod
@@ -395,6 +397,7 @@ class HyperParameters(ThreatSettings):
 _LATER_SETTINGS: Final[dict[str, Any]] = {
     "timestep_frames": 1, "varied": True, "init_least": 0.0, "score": ScoreDefinition.APPENDIX, "manoeuvre_weight": 2.0,
     "motion": ExecutionModel.DRIVER, "choice": VehicleChoiceRule.OURS, "launch": LaunchRule.NEAR,
-    "discards": DiscardRules.OURS, "proposal": CandidateProposal.SAMPLED, **asdict(NEUTRAL),
+    "discards": DiscardRules.OURS, "proposal": CandidateProposal.SAMPLED, "ego": EgoDriver.RECORDED,
+    **asdict(NEUTRAL),
 }  # fmt: skip
 """Settings that came when searches had been kept already, as searches had them then: so they are no part of the key."""

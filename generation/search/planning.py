@@ -15,6 +15,7 @@ from benchmark.records.scene_pages import TraceFrame
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.labels.manoeuvres import Manoeuvre
+from generation.search.driven_tracks import DrivenTracks
 from generation.search.hyperparameters import DiscardRules, ExecutionModel, HyperParameters, ScoreDefinition
 from generation.search.manoeuvre_requests import ManoeuvreRequest
 from generation.search.proposals import Diversify, SearchSteps
@@ -61,12 +62,17 @@ def find_distance_failure(scene: Scene, centers: Floats, first: int) -> Verifica
 
 @dataclass(frozen=True, slots=True)
 class PlannedTrack:
-    """(F, 3) executed poses of an adversary from the launch on, how they were planned, and why the rest was not."""
+    """(F, 3) executed poses of an adversary from the launch on, how they were planned, and why the rest was not.
+
+    ``driven`` are tracks of an ego that reacted, ``pressure`` how much it was pressed.
+    """
 
     poses: Floats
     plans: tuple[PlanningFrame, ...]
     rounds: tuple[TraceFrame, ...]
     failure: VerificationFailure | None
+    driven: DrivenTracks | None = None
+    pressure: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +110,7 @@ class AdversaryPlanning:
                 break
             steps = min(self.hyper.executed_frames, len(self.scene.timestamps_us) - 1 - frame)
             executed = refinement.motion.center[refinement.chosen, 1 : steps + 1]
-            plans.append(_build_planning_frame(frame, refinement))
+            plans.append(build_planning_frame(frame, refinement))
             finding = self._find_failure(frame, executed, refinement.score)
             if finding is None or finding.reason is DiscardReason.LEAVES_AREA:
                 track.append(executed)
@@ -274,7 +280,9 @@ class AdversaryPlanning:
         return self.scene.agents.ids[other[0]] if len(other) else None
 
 
-def _build_planning_frame(frame: int, refinement: Refinement) -> PlanningFrame:
+def build_planning_frame(frame: int, refinement: Refinement) -> PlanningFrame:
+    """Report on a planning frame."""
+
     def finite(value: float) -> float | None:
         return value if np.isfinite(value) else None
 

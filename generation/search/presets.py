@@ -9,14 +9,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
+from benchmark.errors import InputError
 from generation.search.hyperparameters import HyperParameters, LaunchRule
-from generation.search.threat_settings import CandidateProposal
+from generation.search.threat_settings import CandidateProposal, EgoDriver
 
 if TYPE_CHECKING:
     from generation.search.definition import PackagedPrior
 
 Preset = Literal["default", "effect", "near", "paper", "reference"]
 PRESETS: Final[tuple[Preset, ...]] = ("default", "effect", "near", "paper", "reference")
+PRESSING_TRIES: Final = 3
+"""Searches for one vehicle where the ego reacts: the one that presses it most is kept."""
 PROPOSED_VEHICLES, PROPOSED_TRIES = 120, 6
 """Vehicles of a scene whose edits are looked at, and edits of one that are judged."""
 SampleSource = Literal["fresh", "reference", "stored"]
@@ -95,7 +98,7 @@ def build_hyper_parameters(
         The settings.
 
     Raises:
-        InputError: If a change names no setting or its value does not fit.
+        InputError: If a change names no setting, its value does not fit, or the preset needs the recorded ego.
     """
     match preset:
         case "default":
@@ -109,7 +112,14 @@ def build_hyper_parameters(
         case "reference":
             start = HyperParameters.reference()
     given = {name: value for name, value in (settings or {}).items() if value is not None}
-    return replace(start, **given).changed(changes)
+    if given.get("ego", EgoDriver.RECORDED) is not EgoDriver.RECORDED:
+        given.setdefault("tries", PRESSING_TRIES)
+    hyper = replace(start, **given).changed(changes)
+    if hyper.ego is not EgoDriver.RECORDED and preset not in ("default", "near"):
+        raise InputError(
+            f"preset {preset} needs the recorded ego, which never answers; leave --ego out or choose preset default"
+        )
+    return hyper
 
 
 def build_trajectory_model(

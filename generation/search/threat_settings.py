@@ -39,6 +39,18 @@ class CandidateProposal(StrEnum):
     SWERVED = "swerved"
 
 
+class EgoDriver(StrEnum):
+    """Who drives the ego while a scene is made.
+
+    ``RECORDED``: as recorded. ``IDM`` keeps distance, ``CAREFUL`` is the careful and competent human: reference drivers
+    of `benchmark.interactions` on the recorded path, by the extension ``reactive_adversary``.
+    """
+
+    RECORDED = "recorded"
+    IDM = "idm"
+    CAREFUL = "careful"
+
+
 @dataclass(frozen=True, slots=True)
 class ThreatSettings:
     """Terms that `generation.search.threat` adds to a score; ``docs/generation.md`` has the equations.

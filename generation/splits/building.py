@@ -11,7 +11,7 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, lock_folder, read_cached_json, write_json
 from benchmark.records.review import REJECTED, StandingVerdict
 from benchmark.records.scene_assessment import SceneAssessment, is_unsolvable
-from benchmark.records.seed_splits import parse_seed
+from benchmark.records.seed_splits import RECORDED_EGO, parse_seed
 from benchmark.report.words import pluralise, spell_name
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, SourceInfo
@@ -270,6 +270,7 @@ def _build_plan(source: DataSet, split: NamedSplit, as_split: str, settings: Bui
         frozen=(name, content),
         search=compute_search_hash(frozen.search, frozen.chosen, adversaries) if of_seed else None,
         panel=frozen.chosen.panel or "",
+        ego=frozen.search.ego or RECORDED_EGO,
         left_out=tuple(
             (0, StandingVerdict(rejection.name, rejection.token, REJECTED, rejection.reason))
             for rejection in split.frozen.chosen.rejected or ()

@@ -12,11 +12,12 @@ from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, content_key, read_json, write_bytes
 from benchmark.records.review import LONGEST_REASON
-from benchmark.records.seed_splits import is_adversarial
+from benchmark.records.seed_splits import DRIVEN_EGOS, is_adversarial
 from benchmark.records.store import validate_stored
 
 FORMAT: Final = "challenger-bench frozen split"
-SCHEMA: Final = 1
+SCHEMA, DRIVEN_SCHEMA = 1, 2
+"""The second one has tracks of an ego that was driven, and of those who answered it."""
 EDITED: Final = "edited"
 """Replaces the version of the search if the scenes were edited by hand and not verified."""
 MOST_BYTES: Final = 256 * 1024 * 1024
@@ -52,6 +53,21 @@ class FrozenAdversary(_FrozenModel):
     track: Annotated[tuple[Pose, ...], Field(min_length=1, max_length=1_000_000)]
 
 
+class FrozenTrack(_FrozenModel):
+    """Where one who answered the ego drove from a frame (12 Hz) on; it is gone after the last pose."""
+
+    instance: _Name
+    first_frame: Annotated[int, Field(ge=0, le=1_000_000)]
+    track: Annotated[tuple[Pose, ...], Field(min_length=1, max_length=1_000_000)]
+
+
+class FrozenDrive(_FrozenModel):
+    """Driven ego: x, y, yaw of its rear axle at every frame (12 Hz), and ``others`` who answered it."""
+
+    ego: Annotated[tuple[Pose, ...], Field(min_length=1, max_length=1_000_000)]
+    others: tuple[FrozenTrack, ...] = ()
+
+
 class FrozenScene(_FrozenModel):
     """One scene, with its adversaries in the order in which they were planned.
 
@@ -64,6 +80,7 @@ class FrozenScene(_FrozenModel):
         shift_us: By how much its times there are later than recorded.
         source: Recorded scene.
         adversaries: Their tracks.
+        driven: Tracks of an ego that was driven; ``None`` for the recorded one.
     """
 
     name: _Plain
@@ -73,6 +90,7 @@ class FrozenScene(_FrozenModel):
     images: _Hash | None = None
     numbered: _Plain | None = None
     shift_us: Annotated[int, Field(ge=0, le=10**16)] | None = None
+    driven: FrozenDrive | None = None
 
     @model_serializer(mode="wrap")
     def _omit_later_fields(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -92,7 +110,8 @@ class FrozenScene(_FrozenModel):
     @property
     def identity(self) -> str:
         """Hash of what the scene is: its tokens are made of it, so that they are the same on every machine."""
-        return content_key(self.source, [adversary.model_dump(mode="json") for adversary in self.adversaries])
+        driven = [] if self.driven is None else [self.driven.model_dump(mode="json")]
+        return content_key(self.source, [each.model_dump(mode="json") for each in self.adversaries], *driven)
 
 
 class RecordingsIdentity(_FrozenModel):
@@ -117,6 +136,7 @@ class SearchMetadata(_FrozenModel):
         hyper: Hash of its settings.
         prior: Hash of the trajectory model.
         seed: Of the search.
+        ego: Reference driver in the place of the recorded ego, if there was one.
     """
 
     algorithm: str
@@ -124,6 +144,7 @@ class SearchMetadata(_FrozenModel):
     prior: str
     seed: int
     solvable: bool | None = None
+    ego: Annotated[str, Field(pattern=f"^({'|'.join(DRIVEN_EGOS)})$")] | None = None
 
     @model_serializer(mode="wrap")
     def _omit_later_fields(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -212,13 +233,24 @@ class FrozenSplit(_FrozenModel):
     """
 
     format: Literal["challenger-bench frozen split"] = FORMAT
-    schema_version: Annotated[int, Field(alias="schema")] = SCHEMA
+    schema_version: Annotated[int, Field(alias="schema", ge=SCHEMA, le=DRIVEN_SCHEMA)] = SCHEMA
     split: Literal["adv"] = "adv"
     recordings: RecordingsIdentity
     search: SearchMetadata
     chosen: SceneChoice
     images: ImageMetadata | None
     scenes: Annotated[tuple[FrozenScene, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _check_ego(self) -> Self:
+        driven = self.search.ego is not None
+        if driven != (self.schema_version == DRIVEN_SCHEMA) or any(
+            driven != (scene.driven is not None) for scene in self.scenes
+        ):
+            raise ValueError(
+                "only a split with a driven ego, of format 2, has its tracks, and it has them of every scene"
+            )
+        return self
 
     @model_validator(mode="after")
     def _check_distinct(self) -> Self:
@@ -256,10 +288,10 @@ def read_frozen(path: Path) -> FrozenSplit:
     stored = read_json(path)
     if not isinstance(stored, dict) or stored.get("format") != FORMAT:
         raise InputError(f"{path} is not a frozen split: it lacks the format {FORMAT!r}; generate --freeze writes one")
-    if type(stored.get("schema")) is not int or stored["schema"] != SCHEMA:
+    if type(stored.get("schema")) is not int or stored["schema"] not in (SCHEMA, DRIVEN_SCHEMA):
         raise InputError(
-            f"{path} has version {stored.get('schema')!r} of the format, but this version reads {SCHEMA}; upgrade "
-            "challenger-bench or fetch the file again"
+            f"{path} has version {stored.get('schema')!r} of the format, but this version reads {SCHEMA} and "
+            f"{DRIVEN_SCHEMA}; upgrade challenger-bench or fetch the file again"
         )
     return validate_stored(
         FrozenSplit.model_validate_json,

@@ -5,16 +5,22 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from benchmark.datasets.roots import DataSet
+from benchmark.geometry import Floats
 from benchmark.machine.workers import Executor
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan
 from generation.nuscenes_writer.numbering import SceneNumber
 from generation.search.chains import AdversaryChain, SearchAttempt
 from generation.search.definition import Search
+from generation.search.threat_settings import EgoDriver
 from generation.splits.format import (
+    DRIVEN_SCHEMA,
+    SCHEMA,
     FrozenAdversary,
+    FrozenDrive,
     FrozenScene,
     FrozenSplit,
+    FrozenTrack,
     RecordingsIdentity,
     SceneChoice,
     SearchMetadata,
@@ -59,13 +65,14 @@ def freeze_split(
     compared = functools.partial(_add_hashes, plan, images is not None)
     done = executor.map(compared, work(), total=len(chains), label="freezing")
     scenes = dict(zip(order, done, strict=True))
-    return FrozenSplit(
-        recordings=RecordingsIdentity(name=plan.source.name, fingerprint=plan.source.fingerprint),
-        search=build_search_metadata(search),
-        chosen=chosen,
-        images=images,
-        scenes=tuple(scenes[index] for index in range(len(chains))),
-    )
+    return FrozenSplit.model_validate({
+        "schema": SCHEMA if search.hyper.ego is EgoDriver.RECORDED else DRIVEN_SCHEMA,
+        "recordings": RecordingsIdentity(name=plan.source.name, fingerprint=plan.source.fingerprint),
+        "search": build_search_metadata(search),
+        "chosen": chosen,
+        "images": images,
+        "scenes": tuple(scenes[index] for index in range(len(chains))),
+    })  # fmt: skip
 
 
 def build_search_metadata(search: Search) -> SearchMetadata:
@@ -77,6 +84,7 @@ def build_search_metadata(search: Search) -> SearchMetadata:
         prior=definition["prior"],
         seed=definition["seed"],
         solvable=search.hyper.solvable,
+        ego=None if search.hyper.ego is EgoDriver.RECORDED else search.hyper.ego.value,
     )
 
 
@@ -89,7 +97,28 @@ def _add_hashes(plan: DataSetPlan, with_images: bool, work: tuple[Scene, FrozenS
 
 def _freeze_scene(chain: AdversaryChain, scene: Scene) -> FrozenScene:
     adversaries = tuple(_freeze_adversary(link, scene) for link in chain.links)
-    return FrozenScene(name=chain.name, source=chain.scene_name, adversaries=adversaries, tables=_UNKNOWN)
+    driven = _freeze_drive(chain)
+    return FrozenScene(
+        name=chain.name, source=chain.scene_name, adversaries=adversaries, tables=_UNKNOWN, driven=driven
+    )
+
+
+def _freeze_drive(chain: AdversaryChain) -> FrozenDrive | None:
+    """Tracks of the ego, and of all who answered it in the last drive or before; those of the last count."""
+    drives = [link.stored.driven.tracks for link in chain.links if link.stored.driven is not None]
+    if not drives:
+        return None
+    adversaries, others = set(chain.agent_ids), dict[str, tuple[int, Floats]]()
+    for drive in drives:
+        others.update(drive.others)
+    return FrozenDrive(
+        ego=tuple(map(round_pose, drives[-1].ego)),
+        others=tuple(
+            FrozenTrack(instance=name, first_frame=first, track=tuple(map(round_pose, track)))
+            for name, (first, track) in others.items()
+            if name not in adversaries
+        ),
+    )
 
 
 def _freeze_adversary(link: SearchAttempt, scene: Scene) -> FrozenAdversary:

@@ -67,14 +67,18 @@ def list_packaged_splits(data: str = "", split: str = "adv") -> tuple[str, ...]:
 
 
 def read_newest_split(data: str, split: str = "adv") -> NamedSplit:
-    """The newest frozen split of a data set that comes with the package, of those that no panel of planners chose.
+    """The newest frozen split of a data set that comes with the package, of those with recorded egos and no panel.
 
     Of ``mini@1`` that of the first town.
     """
     version = read_embedded_version(data)
     for name in reversed(list_packaged_splits(strip_version(data), split)):
         named = read_frozen_split(name)
-        if named.frozen.chosen.panel is None and (version is None or _find_town(named) in (None, version)):
+        if (
+            named.frozen.chosen.panel is None
+            and named.frozen.search.ego is None
+            and (version is None or _find_town(named) in (None, version))
+        ):
             return named
     raise InputError(f"no frozen split {split} of {data} is packaged; run challenger-bench generate")
 

@@ -21,8 +21,17 @@ from generation.nuscenes_writer.rows import build_channels, build_scene_tables
 from generation.nuscenes_writer.scenes import encode_jpeg
 from generation.nuscenes_writer.vocabulary import LabelVocabulary
 from generation.render.contract import SlowRenderer
+from generation.search.driven_tracks import DrivenTracks
 from generation.search.ranking import compute_challenge_score
-from generation.splits.format import METRE_DIGITS, YAW_DIGITS, FrozenAdversary, FrozenScene, ImageMetadata, Pose
+from generation.splits.format import (
+    METRE_DIGITS,
+    YAW_DIGITS,
+    FrozenAdversary,
+    FrozenDrive,
+    FrozenScene,
+    ImageMetadata,
+    Pose,
+)
 
 SAME_M: Final = 0.01
 """How far the recorded body may be from where the frozen split has it at the launch."""
@@ -33,7 +42,7 @@ _REPORT_DIGITS: Final = 6
 
 def add_frozen_adversaries(frozen: FrozenScene, scene: Scene) -> Scene:
     """A recorded scene with frozen adversaries; refused if its length or a vehicle's place at the launch differs."""
-    changed = scene
+    changed = scene if frozen.driven is None else _put_drive_into(scene, frozen.driven)
     for adversary in frozen.adversaries:
         agent, stop = _find_vehicle(adversary, scene), adversary.launch_frame + len(adversary.track)
         changed = changed.with_adversary(agent, slice(adversary.launch_frame, stop), np.array(adversary.track))
@@ -41,6 +50,20 @@ def add_frozen_adversaries(frozen: FrozenScene, scene: Scene) -> Scene:
         rotation = changed.annotations.rotation
         rotation[agent, inside] = np.round(rotation[agent, inside], _ROTATION_DIGITS) + 0.0
     return changed
+
+
+def _put_drive_into(scene: Scene, driven: FrozenDrive) -> Scene:
+    frames = len(scene.timestamps_us)
+    known = all(
+        other.instance in scene.agents.ids and other.first_frame + len(other.track) <= frames for other in driven.others
+    )
+    if len(driven.ego) != frames or not known:
+        raise InputError(
+            f"{scene.name} does not fit the driven ego of the frozen split; these are not the recordings that it was "
+            "made from, choose those with --data"
+        )
+    others = {other.instance: (other.first_frame, np.array(other.track)) for other in driven.others}
+    return DrivenTracks(np.array(driven.ego), others).put_into(scene)
 
 
 def add_number(frozen: FrozenScene, number: SceneNumber | None) -> FrozenScene:

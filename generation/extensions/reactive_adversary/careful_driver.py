@@ -74,7 +74,8 @@ class PathBodies:
 class CarefulDriverCheck:
     """Careful human in the ego's place, at a `station` in metres, and all others ever in the ego's strip.
 
-    `steps` are (S,) frames after the planning frame; the human is `lost` if others hit it without an adversary.
+    `steps` are (S,) frames after the planning frame; the human is `lost` if others hit it without an adversary. One who
+    reacts already has `waiting` seconds of its reaction left and brakes with `braking` m/s^2; `hardest` it may.
     """
 
     way: RecordedEgoPath
@@ -84,6 +85,9 @@ class CarefulDriverCheck:
     others: PathBodies
     steps: tuple[int, ...]
     lost: bool
+    waiting: float = REACTION_S
+    braking: float = 0.0
+    hardest: float = HARDEST_BRAKING
     _in_way: "tuple[tuple[_InWay | None, _InWay | None], ...]" = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -113,6 +117,13 @@ class CarefulDriverCheck:
         rows = np.arange(len(over))
         ahead = placed.rear[rows, first] > station[first] if in_front else True
         return np.asarray(over.any(axis=1) & ~over[:, 0] & ahead)
+
+    def find_meeting_times(self, placed: PathBodies) -> Floats:
+        """(B,) seconds until an ego that keeps its speed runs into a body ahead; infinite where it never does."""
+        time = np.arange(len(self.steps) + 1) * EVERY_FRAMES / FRAME_HZ
+        station, half = self.station + self.speed * time, 0.5 * self.way.length_m
+        over = (placed.rear < station + half) & (placed.front > station - half) & (placed.beside <= 0.0)
+        return np.where(self.is_met(placed), time[np.argmax(over, axis=1)], np.inf)
 
     def is_following(self, now: Floats, size: Floats) -> bool:
         """Whether a vehicle at (1, 3) is behind the ego."""
@@ -149,7 +160,7 @@ class CarefulDriverCheck:
         count, half = rear.shape[1], 0.5 * self.way.length_m
         dt = EVERY_FRAMES / FRAME_HZ
         station, speed = np.full(count, self.station), np.full(count, self.speed)
-        waiting, braking = np.full(count, REACTION_S), np.zeros(count)
+        waiting, braking = np.full(count, self.waiting), np.full(count, self.braking)
         hit, lost = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
         in_strip, beside_ego = beside <= 0.0, beside <= near_enough[:, None]
         body_speed = (rear[1:] - rear[:-1]) * (FRAME_HZ / EVERY_FRAMES)
@@ -164,7 +175,7 @@ class CarefulDriverCheck:
                 ready = unsafe & (waiting <= 0.0)
                 waiting = np.where(unsafe, waiting - dt, waiting)
                 if ready.any():
-                    braking = np.where(ready, np.minimum(braking + _RISE_M_S3 * dt, HARDEST_BRAKING), braking)
+                    braking = np.where(ready, np.minimum(braking + _RISE_M_S3 * dt, self.hardest), braking)
                     after = np.maximum(speed - np.where(ready, braking, 0.0) * dt, 0.0)
             station, speed = station + 0.5 * dt * (speed + after), after
             over = (rear[step + 1] < station + half + _AIR_ALONG_M) & (front[step + 1] > station - half)
@@ -173,7 +184,7 @@ class CarefulDriverCheck:
                 lost |= ((later.rear < station + half) & (later.front > station - half)).any(axis=0)
         gap = rear[-1] - station - half
         closing = np.maximum(speed - (rear[-1] - rear[-2]) / dt, 0.0)
-        needed = closing * np.maximum(waiting, 0.0) + closing**2 / (2.0 * HARDEST_BRAKING)
+        needed = closing * np.maximum(waiting, 0.0) + closing**2 / (2.0 * self.hardest)
         hit |= in_strip[-1] & (gap > -half) & (gap < needed)
         # A driver who would be hit by others in any case is not hit because of a candidate.
         return np.asarray(hit | (lost & (not self.lost)))
