@@ -30,7 +30,7 @@ from generation.search.verify import DiscardReason, VerificationFailure, find_co
 
 EVERY_FRAMES: Final = 2 * FRAMES_PER_KEYFRAME
 """Between two plans."""
-MEETING_WEIGHT: Final = 8.0
+MEETING_WEIGHT: Final = 5.0
 """Of a candidate that an ego runs into that keeps its speed, and that the ego survives."""
 MEETING_S: Final = (2.0, 5.0)
 """A meeting within so many seconds counts in full, a later one less, to none."""
