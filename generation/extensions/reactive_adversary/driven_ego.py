@@ -171,9 +171,9 @@ class DrivenWorld:
     def _sample_ego(self) -> Floats:
         """(T, 3) rear-axle poses at 12 Hz: the recording's own until the driver drives by itself."""
         simulation, times, seconds = self.simulation, self.situation.times, self.scene.seconds
-        poses = self.scene.ego.pose
-        free = seconds > times[min(int(simulation.free_from[0]), len(times) - 1)] + 1e-9
-        if free.any():
+        poses, begins = self.scene.ego.pose, int(simulation.free_from[0])
+        if begins < len(times) - 1:
+            free = seconds > times[begins] + 1e-9
             smooth = smooth_station(simulation.station[0])
             station = PchipInterpolator(times, smooth)(np.clip(seconds, times[0], times[-1]))
             # Where the grid of 0.1 s ends before the last frame, the last speed is kept.
