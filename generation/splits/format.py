@@ -54,7 +54,13 @@ class FrozenAdversary(_FrozenModel):
 
 
 class FrozenTrack(_FrozenModel):
-    """Where one who answered the ego drove from a frame (12 Hz) on; it is gone after the last pose."""
+    """Where one who answered the ego drove; it is gone after the last pose.
+
+    Attributes:
+        instance: Instance of the recording.
+        first_frame: Its first frame (12 Hz).
+        track: x, y, yaw of the box centre from then on.
+    """
 
     instance: _Name
     first_frame: Annotated[int, Field(ge=0, le=1_000_000)]
@@ -62,7 +68,11 @@ class FrozenTrack(_FrozenModel):
 
 
 class FrozenDrive(_FrozenModel):
-    """Driven ego: x, y, yaw of its rear axle at every frame (12 Hz), and ``others`` who answered it."""
+    """An ego that was driven, and ``others`` who answered it.
+
+    Attributes:
+        ego: x, y, yaw of its rear axle at every frame (12 Hz).
+    """
 
     ego: Annotated[tuple[Pose, ...], Field(min_length=1, max_length=1_000_000)]
     others: tuple[FrozenTrack, ...] = ()
@@ -247,9 +257,7 @@ class FrozenSplit(_FrozenModel):
         if driven != (self.schema_version == DRIVEN_SCHEMA) or any(
             driven != (scene.driven is not None) for scene in self.scenes
         ):
-            raise ValueError(
-                "only a split with a driven ego, of format 2, has its tracks, and it has them of every scene"
-            )
+            raise ValueError("a split with a driven ego has format 2 and its tracks in every scene, no other has")
         return self
 
     @model_validator(mode="after")

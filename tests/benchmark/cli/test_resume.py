@@ -29,7 +29,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def generating(source: Path, out: Path) -> list[str]:
-    return ["generate", "--data", str(source), "--out", str(out), *SEARCH, *IMAGES]
+    return ["generate", "--split", "adv", "--data", str(source), "--out", str(out), *SEARCH, *IMAGES]
 
 
 def evaluating(source: Path, out: Path) -> list[str]:
