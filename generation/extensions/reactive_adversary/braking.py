@@ -91,8 +91,8 @@ class InstantsBetween:
         return cls(frame, after, width, wanted - known[frame], (known[frame] == wanted) | (after == frame))
 
     def at(self, rows: Floats, row: Integers, instant: Integers) -> Floats:
-        """(L,) values of (P, K) rows, each of its row at its instant."""
-        here = rows[row, self.frame[instant]]
-        later = rows[row, self.after[instant]]
+        """(..., L) values of (..., P, K) rows, each of its row at its instant."""
+        here = rows[..., row, self.frame[instant]]
+        later = rows[..., row, self.after[instant]]
         between = (later - here) / self.width[instant] * self.past[instant] + here
         return np.asarray(np.where(self.on_frame[instant], here, between))

@@ -211,9 +211,12 @@ class CarefulDriverCheck:
         )
         later = in_strip & (others.front > self.station - half) & (others.rear < farthest)
         step, row = np.nonzero(later[:, 1:].T)
-        free = np.add.accumulate(np.append(self.station, np.full(len(self.steps), 0.5 * dt * (self.speed + self.speed))))
+        free = np.add.accumulate(
+            np.append(self.station, np.full(len(self.steps), 0.5 * dt * (self.speed + self.speed)))
+        )
         threats = [
-            some is not None and bool(_threaten(some, free[at], self.speed, half)[0]) for at, some in enumerate(at_start)
+            some is not None and bool(_threaten(some, free[at], self.speed, half)[0])
+            for at, some in enumerate(at_start)
         ]
         rear, front = others.rear[row, step + 1, None], others.front[row, step + 1, None]
         return _OthersInWay(at_start, step + 1, rear, front, free, np.array(threats, np.bool_))

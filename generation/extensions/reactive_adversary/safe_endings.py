@@ -57,13 +57,11 @@ class SurroundingTracks:
         clock = np.arange((clock_us - now_us) % INSTANT_US, scene.timestamps_us[-1] - now_us + 1, INSTANT_US) / 1e6
         seconds = np.unique(np.concatenate([clock, frames]))
         seconds = seconds[seconds > 0.0]
-        boxes, present = ContinuousTracks.of_scene(scene).agents_at(
-            np.minimum(seconds + float(scene.seconds[frame]), float(scene.seconds[-1]))
-        )
-        present[agent] = False
+        others = _select_later(scene, agent, frame)
+        boxes, present = others.agents_at(np.minimum(seconds + float(scene.seconds[frame]), float(scene.seconds[-1])))
         boxes, present = np.ascontiguousarray(boxes.transpose(1, 0, 2)), np.ascontiguousarray(present.T)
         low, high = _bound(boxes, present)
-        reach = 0.5 * np.hypot(*scene.agents.size[:, :2].T)
+        reach = 0.5 * np.hypot(*others.agents[:, 0, 2:4].T)
         size = scene.agents.size[agent, :2] + 2.0 * AIR_M
         return cls(frames, seconds, boxes, present, reach, low, high, size)
 
@@ -211,7 +209,7 @@ class SurroundingTracks:
         there = (row < count) & self.present[np.minimum(row, count - 1), other]
         motion, row, other = motion[there], row[there], other[there]
         between = InstantsBetween.of(known, self.seconds[:count])
-        x, y = (between.at(axis, motion, row) for axis in columns[:2])
+        x, y = between.at(columns[:2], motion, row)
         away_x, away_y = self.boxes[row, other, 0] - x, self.boxes[row, other, 1] - y
         near = away_x**2 + away_y**2 <= (self._reach_of_both[other]) ** 2
         motion, row, other = motion[near], row[near], other[near]
@@ -253,6 +251,18 @@ class SurroundingTracks:
     def find_longest(self, motions: Iterable[Floats]) -> Floats:
         """The first of some motions that last longest before they touch another."""
         return max(motions, key=self.compute_clear_seconds)
+
+
+def _select_later(scene: Scene, agent: int, frame: int) -> ContinuousTracks:
+    """Tracks from a frame on, or a little before it, of all but one agent who are there then."""
+    agents, rest = scene.agents, slice(max(frame - 1, 0), None)
+    there = agents.valid[:, rest].any(axis=1)
+    there[agent] = False
+    rows = np.flatnonzero(there)
+    size = np.broadcast_to(agents.size[rows, None, :2], (len(rows), len(scene.seconds[rest]), 2))
+    boxes = np.concatenate([agents.position[rows, rest, :2], size, agents.yaw[rows, rest, None]], axis=-1)
+    names = tuple(agents.categories[row] for row in rows.tolist())
+    return ContinuousTracks(scene.seconds[rest], scene.ego.boxes[rest], boxes, agents.valid[rows, rest], names)
 
 
 def _bound(boxes: Floats, present: Bools) -> tuple[Floats, Floats]:
