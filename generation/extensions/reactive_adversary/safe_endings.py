@@ -204,20 +204,26 @@ class SurroundingTracks:
         if begin >= count or not len(clear):
             return clear
         motion, chunk, other = self._find_near_chunks(columns[:2], known, begin, count)
+        if not len(motion):
+            return clear
+        # All instants of each motion that is near anybody: faster than those that matter, one by one.
+        rows = slice(begin + int(chunk.min()) * _CHUNK, min(begin + (int(chunk.max()) + 1) * _CHUNK, count))
+        between = InstantsBetween.of(known, self.seconds[rows])
+        moving, place = np.unique(motion, return_inverse=True)
+        own_x, own_y = between.at(columns[:2, moving])
         row = (chunk[:, None] * _CHUNK + np.arange(begin, begin + _CHUNK)).ravel()
-        motion, other = np.repeat(motion, _CHUNK), np.repeat(other, _CHUNK)
+        place, other = np.repeat(place, _CHUNK), np.repeat(other, _CHUNK)
         there = (row < count) & self.present[np.minimum(row, count - 1), other]
-        motion, row, other = motion[there], row[there], other[there]
-        between = InstantsBetween.of(known, self.seconds[:count])
-        x, y = between.at(columns[:2], motion, row)
-        away_x, away_y = self.boxes[row, other, 0] - x, self.boxes[row, other, 1] - y
-        near = away_x**2 + away_y**2 <= (self._reach_of_both[other]) ** 2
-        motion, row, other = motion[near], row[near], other[near]
-        turning, where = np.unique(motion, return_inverse=True)
+        place, row, other = place[there], row[there], other[there]
+        x, y = own_x[place, row - rows.start], own_y[place, row - rows.start]
+        theirs = self.boxes[row, other]
+        near = (theirs[:, 0] - x) ** 2 + (theirs[:, 1] - y) ** 2 <= (self._reach_of_both**2)[other]
+        place, row = place[near], row[near]
+        turning, where = np.unique(place, return_inverse=True)
         own = np.empty((len(row), 5))
         own[:, 0], own[:, 1], own[:, 2:4] = x[near], y[near], self.size
-        own[:, 4] = between.at(np.unwrap(columns[2, turning], axis=1), where, row)
-        clear[motion[boxes_overlap(own, self.boxes[row, other])]] = False
+        own[:, 4] = between.at(np.unwrap(columns[2, moving[turning]], axis=1))[where, row - rows.start]
+        clear[moving[place[boxes_overlap(own, theirs[near])]]] = False
         return clear
 
     def _find_near_chunks(
