@@ -227,7 +227,7 @@ def compute_edge_penalty(center: Floats, ego: Floats, half_extent_m: float) -> F
 
     (B, S, 3) poses of box centres; the area lies around the (S, 3) poses ``ego``.
     """
-    outward = np.stack([np.abs(to_local(center[:, step, :2], pose)).max(axis=-1) for step, pose in enumerate(ego)], 1)
+    outward = np.maximum(*np.moveaxis(np.abs(to_local(center[..., :2], ego)), -1, 0))
     free = FREE_SHARE * half_extent_m
     return np.asarray(((np.maximum(outward - free, 0.0) / (half_extent_m - free)) ** 2).mean(axis=1))
 
