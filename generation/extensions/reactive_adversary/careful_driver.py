@@ -244,7 +244,7 @@ _Bodies = tuple[Floats, Floats, Floats]
 
 @dataclass(frozen=True, slots=True)
 class _OthersInWay:
-    """Others at the start of each step, and L times one of them at an instant ``at`` (L,), (L, 1) ``rear`` and ``front``.
+    """Others at the start of each step, and L times one of them at an instant: (L,) ``at``, (L, 1) ``rear``, ``front``.
 
     A driver who never brakes is at ``free_station`` (S + 1,), and feels unsafe because of others by ``threatens_free``.
     """
