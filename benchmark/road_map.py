@@ -185,6 +185,10 @@ class DrivableRaster:
     cells: NDArray[np.bool_]
     pose: Floats
     resolution_m: float
+    _framed: NDArray[np.bool_] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_framed", np.pad(self.cells, 1).ravel())
 
     @classmethod
     def around(
@@ -206,14 +210,12 @@ class DrivableRaster:
         cos, sin = np.cos(self.pose[2]), np.sin(self.pose[2])
         dx, dy = points[..., 0] - self.pose[0], points[..., 1] - self.pose[1]
         count = len(self.cells)
-        framed = np.zeros((count + 2, count + 2), dtype=np.bool_)
-        framed[1:-1, 1:-1] = self.cells
         # A point too far away for a float is outside like any other.
         with np.errstate(over="ignore", invalid="ignore"):
             cell = self._nearest(dx * sin - dy * cos)
             cell *= count + 2
             cell += self._nearest(dx * cos + dy * sin)
-        return np.asarray(framed.ravel()[cell])
+        return np.asarray(self._framed[cell])
 
     def _nearest(self, along_m: Floats) -> NDArray[np.int64]:
         """Index along one axis, counted from a frame of one cell around the grid that stands for all outside."""

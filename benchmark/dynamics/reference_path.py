@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from benchmark.geometry import Floats
+from benchmark.geometry import Bools, Floats
 
 WAYPOINTS = 16
 JERK_PENALTY = 1e-4
@@ -139,14 +139,34 @@ def _hold_chords(chord: Floats, dt: float) -> None:
     squared = chord * chord
     still = squared[:, 0] + squared[:, 1] < (2.0 * HELD_BELOW_M_S * dt) ** 2
     turn = chord[1:] * chord[:-1]
-    if not (still.any() or (chord[0, 0] < 0.0).any() or (turn[:, 0] + turn[:, 1] < 0.0).any()):
+    broken = np.concatenate([chord[:1, 0] < 0.0, turn[:, 0] + turn[:, 1] < 0.0])
+    broken |= still
+    columns = np.flatnonzero(broken.any(axis=0))
+    if not len(columns):
         return
-    held = np.zeros_like(chord[0])
-    held[0] = 1.0
-    for now, unusable in zip(chord, still):
+    # Where it only stands now and then, what is held is known at once; from the first turn back on step by step.
+    some, still = chord[..., columns], still[:, columns]
+    last = np.maximum.accumulate(np.where(still, 0, np.arange(1, len(some) + 1)[:, None]))
+    ahead = np.zeros((1, 2, len(columns)))
+    ahead[:, 0] = 1.0
+    filled = np.take_along_axis(np.concatenate([ahead, some]), last[:, None], axis=0)
+    turn = some * np.concatenate([ahead, filled[:-1]])
+    back = ~still & (turn[:, 0] + turn[:, 1] < 0.0)
+    chord[..., columns] = filled
+    rows = np.flatnonzero(back.any(axis=0))
+    if len(rows):
+        first = int(np.argmax(back.any(axis=1)))
+        rest = some[first:, :, rows]
+        _hold_step_by_step(rest, still[first:, rows], filled[first - 1, :, rows].T if first else ahead[0][:, rows])
+        chord[first:, :, columns[rows]] = rest
+
+
+def _hold_step_by_step(chord: Floats, unusable: Bools, held: Floats) -> None:
+    """Hold chords (F, 2, B) wherever they are (F, B) unusable or turn back; ``held`` (2, B) is before them."""
+    for now, bad in zip(chord, unusable):
         turn = now * held
-        unusable |= turn[0] + turn[1] < 0.0
-        np.copyto(now, held, where=unusable)
+        bad |= turn[0] + turn[1] < 0.0
+        np.copyto(now, held, where=bad)
         held = now
 
 

@@ -22,6 +22,9 @@ BODY_REACH_M = 15.0
 """The corners of a body belong to the part of the path within this station of its centre."""
 
 
+_ROUNDING_M2 = 1e-9
+
+
 @dataclass(frozen=True, slots=True)
 class PathFrame:
     """Polyline of the ego's body centre, extended at both ends: (M, 2) vertices, metres, global.
@@ -37,10 +40,7 @@ class PathFrame:
     def of(cls, ego: Floats) -> Self:
         """The path of a recorded ego, (T, 5) body boxes, T >= 1."""
         centers = ego[:, :2]
-        vertex_frames = [0]
-        for frame in range(1, len(centers)):
-            if np.hypot(*(centers[frame] - centers[vertex_frames[-1]])) >= VERTEX_STEP_M:
-                vertex_frames.append(frame)
+        vertex_frames = _choose_vertices(centers)
         poses = ego[vertex_frames][:, [0, 1, 4]]
         # The past is a drive in reverse: the same arc, left behind.
         before = _extend(poses[::-1], backwards=True)[::-1]
@@ -115,6 +115,20 @@ class Placement:
             across.min(axis=1),
             across.max(axis=1),
         )
+
+
+def _choose_vertices(centers: Floats) -> list[int]:
+    """The first frame, and each that is a step or more from the one chosen before."""
+    chosen, places = [0], centers.tolist()
+    for frame, (x, y) in enumerate(places):
+        last_x, last_y = places[chosen[-1]]
+        aside, along = x - last_x, y - last_y
+        squared = aside * aside + along * along
+        # Only where rounding may decide does it need the distance itself, which numpy is slow to give one by one.
+        near = abs(squared - VERTEX_STEP_M**2) < _ROUNDING_M2
+        if np.hypot(aside, along) >= VERTEX_STEP_M if near else squared > VERTEX_STEP_M**2:
+            chosen.append(frame)
+    return chosen
 
 
 def _extend(poses: Floats, *, backwards: bool) -> Floats:

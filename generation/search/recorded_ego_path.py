@@ -64,17 +64,23 @@ class RecordedEgoPath:
         (..., 3) ``poses`` belong to the frames from ``first`` to ``last``.
         """
         low, high = np.searchsorted(self.stations, [self.station[first] - BACK_M, self.station[last] + ON_M])
-        window = slice(int(low), int(high))
-        points, headings = self.points[window], self.headings[window]
-        _, nearest = _get_tree(self, int(low), int(high)).query(poses[..., :2])
-        cos, sin = np.cos(headings[nearest]), np.sin(headings[nearest])
-        away = poses[..., :2] - points[nearest]
-        station = self.stations[window][nearest] + cos * away[..., 0] + sin * away[..., 1]
-        offset = cos * away[..., 1] - sin * away[..., 0]
-        return station, offset, wrap_angle(poses[..., 2] - headings[nearest])
+        tree, columns = _get_window(self, int(low), int(high))
+        _, nearest = tree.query(poses[..., :2])
+        x, y, at, heading, cos, sin = np.take(columns, nearest, axis=1)
+        ahead, aside = poses[..., 0] - x, poses[..., 1] - y
+        station = at + cos * ahead + sin * aside
+        offset = cos * aside - sin * ahead
+        return station, offset, wrap_angle(poses[..., 2] - heading)
 
 
-_get_tree: Final = IdentityCache[RecordedEgoPath, cKDTree](lambda way, low, high: cKDTree(way.points[low:high]), kept=4)
+def _select_window(way: RecordedEgoPath, low: int, high: int) -> tuple[cKDTree, Floats]:
+    """Points of a part of a path to look up, and (6, V) x, y, station, heading, its cosine and its sine of them."""
+    points, heading = way.points[low:high], way.headings[low:high]
+    columns = np.stack([*points.T, way.stations[low:high], heading, np.cos(heading), np.sin(heading)])
+    return cKDTree(points), columns
+
+
+_get_window: Final = IdentityCache[RecordedEgoPath, tuple[cKDTree, Floats]](_select_window, kept=4)
 get_ego_path: Final = IdentityCache[Scene, RecordedEgoPath](RecordedEgoPath.of, kept=2)
 """`RecordedEgoPath.of`, which several terms of a search ask for."""
 

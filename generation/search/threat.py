@@ -4,11 +4,10 @@
 so that weights compare with those of the paper's terms, and lower is better.
 """
 
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, Self
+from typing import Final
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -16,6 +15,7 @@ from scipy.spatial import cKDTree
 from benchmark.constants import FRAMES_PER_KEYFRAME
 from benchmark.dynamics.bicycle import WHEELBASE, SimulatedMotion
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle
+from benchmark.machine.identity_cache import IdentityCache
 from benchmark.road_map import RoadMap
 from benchmark.scene import Scene
 from generation.search.hyperparameters import HyperParameters
@@ -37,9 +37,9 @@ class LaneHeadings:
     headings: Floats
 
     @classmethod
-    def of(cls, scene: Scene) -> Self:
+    def of(cls, scene: Scene) -> "LaneHeadings":
         """Those of a scene's map."""
-        return cls(*_collect_points(_MapIdentity(scene.road_map)))
+        return _get_lane_headings(scene.road_map)
 
     def against(self, poses: Floats) -> Bools:
         """Whether poses (..., 3) head against every lane whose centre line is within 2 m; not where there is none."""
@@ -52,28 +52,14 @@ class LaneHeadings:
         along = np.abs(wrap_angle(poses[..., 2:] - headings)) <= AGAINST_RAD
         return np.asarray(has_lane.any(axis=-1) & ~(has_lane & along).any(axis=-1))
 
-    @functools.cached_property
+    @cached_property
     def _tree(self) -> cKDTree:
         return cKDTree(self.points)
 
 
-class _MapIdentity:
-    """A map by identity: its layers do not change, and shapes are slow to hash."""
-
-    def __init__(self, road_map: RoadMap) -> None:
-        self.road_map = road_map
-
-    def __hash__(self) -> int:
-        return id(self.road_map)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _MapIdentity) and self.road_map is other.road_map
-
-
-@functools.lru_cache(maxsize=2)
-def _collect_points(of: _MapIdentity) -> tuple[Floats, Floats]:
+def _collect_points(road_map: RoadMap) -> LaneHeadings:
     points, headings = [np.zeros((0, 2))], [np.zeros(0)]
-    for lane in of.road_map.lanes.values():
+    for lane in road_map.lanes.values():
         edge = np.diff(lane.centerline, axis=0)
         length = np.hypot(edge[:, 0], edge[:, 1])
         stations = np.concatenate([[0.0], np.cumsum(length)])
@@ -81,7 +67,10 @@ def _collect_points(of: _MapIdentity) -> tuple[Floats, Floats]:
         segment = np.clip(np.searchsorted(stations, at, side="right") - 1, 0, len(edge) - 1)
         points.append(np.column_stack([np.interp(at, stations, lane.centerline[:, axis]) for axis in range(2)]))
         headings.append(np.arctan2(edge[segment, 1], edge[segment, 0]))
-    return np.concatenate(points), np.concatenate(headings)
+    return LaneHeadings(np.concatenate(points), np.concatenate(headings))
+
+
+_get_lane_headings: Final = IdentityCache[RoadMap, LaneHeadings](_collect_points, kept=2)
 
 
 FAR_M: Final = 20.0
@@ -238,7 +227,7 @@ def compute_edge_penalty(center: Floats, ego: Floats, half_extent_m: float) -> F
 
     (B, S, 3) poses of box centres; the area lies around the (S, 3) poses ``ego``.
     """
-    outward = np.stack([np.abs(to_local(center[:, step, :2], pose)).max(axis=-1) for step, pose in enumerate(ego)], 1)
+    outward = np.maximum(*np.moveaxis(np.abs(to_local(center[..., :2], ego)), -1, 0))
     free = FREE_SHARE * half_extent_m
     return np.asarray(((np.maximum(outward - free, 0.0) / (half_extent_m - free)) ** 2).mean(axis=1))
 

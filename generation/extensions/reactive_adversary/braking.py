@@ -90,9 +90,7 @@ class InstantsBetween:
         width = np.where(after > frame, known[after] - known[frame], 1.0)
         return cls(frame, after, width, wanted - known[frame], (known[frame] == wanted) | (after == frame))
 
-    def at(self, rows: Floats, row: Integers, instant: Integers) -> Floats:
-        """(L,) values of (P, K) rows, each of its row at its instant."""
-        here = rows[row, self.frame[instant]]
-        later = rows[row, self.after[instant]]
-        between = (later - here) / self.width[instant] * self.past[instant] + here
-        return np.asarray(np.where(self.on_frame[instant], here, between))
+    def at(self, rows: Floats) -> Floats:
+        """(..., I) values of (..., K) rows."""
+        here, later = np.take(rows, self.frame, axis=-1), np.take(rows, self.after, axis=-1)
+        return np.asarray(np.where(self.on_frame, here, (later - here) / self.width * self.past + here))

@@ -1,5 +1,6 @@
 """Which candidate of a search is driven: the best that stays on the road and can end without touching another."""
 
+import functools
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final
@@ -24,14 +25,12 @@ def list_allowed(refinement: Refinement, hyper: HyperParameters, steps: int, *, 
 
     That is asked of what would be executed, so many ``steps``.
     """
+    found = [batch.evaluated for batch in refinement.batches]
+    may = np.stack([each.motion.finite for each in found])
+    if on_road:
+        may &= ~np.stack([each.terms.center_off_road[:, :steps].any(axis=1) for each in found])
     others = order_candidates(compare_scores(refinement.batches, hyper), MOST_CANDIDATES_CHECKED)
-    allowed = []
-    for number, index in itertools.chain([(refinement.round, refinement.chosen)], others):
-        found = refinement.batches[number].evaluated
-        leaving = on_road and bool(found.terms.center_off_road[index, :steps].any())
-        if found.motion.finite[index] and not leaving:
-            allowed.append((number, index))
-    return allowed
+    return [each for each in itertools.chain([(refinement.round, refinement.chosen)], others) if may[each]]
 
 
 def find_drivable(
@@ -70,28 +69,33 @@ def choose_by_rules(
     around: SurroundingTracks,
     steps: int,
     rules: AdversaryRules,
-    options: Sequence[Floats],
+    options: Callable[[], Sequence[Floats]],
 ) -> tuple[int, int, Floats] | Floats | None:
     """A candidate and its ending as of `find_drivable`, or one of other motions (K + 1, 3); ``None``: nothing is fair.
 
     Rules are dropped one by one: that the ego may turn; that an ending is fair, too; the road, as briefly as can be.
-    Of the motions the first goes on as was meant; returning from it to the recording is another.
+    Of the motions the first goes on as was meant; returning from it to the recording is another. Mostly none is needed.
     """
-    back = rules.find_return(around, options[0][None], 0, rules.are_on_road)
-    options = [options[0], *([] if back is None else back[1:]), *options[1:]]
+
+    @functools.cache
+    def list_options() -> list[Floats]:
+        meant, *others = options()
+        back = rules.find_return(around, meant[None], 0, rules.are_on_road)
+        return [meant, *([] if back is None else back[1:]), *others]
+
     expected = rules.as_expected
     may_turn = ((rules, rules.are_kept),) if len(rules.careful) > 1 else ()
     for held, are_allowed in (*may_turn, (expected, expected.are_kept), (expected, expected.are_on_road)):
         found = find_drivable(candidates, refinement, around, steps, held, are_allowed)
-        kept = held.find_kept(around, options, keeps_to_road=True) if found is None else None
+        kept = held.find_kept(around, list_options(), keeps_to_road=True) if found is None else None
         if found is not None or kept is not None:
             return kept if found is None else found
     if refinement is None or not candidates:
-        return expected.find_kept(around, options, keeps_to_road=False)
+        return expected.find_kept(around, list_options(), keeps_to_road=False)
     off = expected.measure_off_road(_collect_motions(candidates, refinement).transpose(2, 0, 1))
     shortest = [candidates[row] for row in np.argsort(off, kind="stable").tolist()]
     found = find_drivable(shortest, refinement, around, steps, expected)
-    kept = expected.find_kept(around, options, keeps_to_road=False)
+    kept = expected.find_kept(around, list_options(), keeps_to_road=False)
     if found is None or kept is None:
         return kept if found is None else found
     motion = _collect_motions([found[:2]], refinement)[0]

@@ -17,6 +17,7 @@ from benchmark.constants import FRAME_HZ
 from benchmark.dynamics.bicycle import SimulatedMotion, compute_rear_axle
 from benchmark.geometry import Bools, Floats
 from benchmark.interactions.reaction import CAREFUL_TIME_S, HARDEST_BRAKING, REACTION_S
+from benchmark.interactions.tracks import Integers
 from benchmark.machine.identity_cache import IdentityCache
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
@@ -88,7 +89,7 @@ class CarefulDriverCheck:
     waiting: float = REACTION_S
     braking: float = 0.0
     hardest: float = HARDEST_BRAKING
-    _in_way: "tuple[tuple[_InWay | None, _InWay | None], ...]" = field(init=False, repr=False)
+    _in_way: "_OthersInWay" = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_in_way", self._collect_in_way())
@@ -102,7 +103,7 @@ class CarefulDriverCheck:
         others = _collect_others(scene, agent, way, frame, steps)
         unchecked = cls(way, frame, float(way.station[frame]), speed, others, steps, False)
         absent = PathBodies(*(np.full((1, len(steps) + 1), np.inf) for _ in range(3)))
-        return cls(way, frame, unchecked.station, speed, others, steps, bool(unchecked.hits(absent)[0]))
+        return replace(unchecked, lost=True) if unchecked.hits(absent)[0] else unchecked
 
     def hit(self, motion: SimulatedMotion, size: Floats) -> Bools:
         """(B,) whether the careful human is hit, or surely would be soon after; ``size`` is the adversary's, (2,)."""
@@ -146,50 +147,67 @@ class CarefulDriverCheck:
         matters = (placed.beside <= near_enough).any(axis=1)
         # Bodies that are never near the ego's strip all change as little as one that is nowhere.
         rows = np.flatnonzero(matters)
-        rear, front, beside = (
-            np.append(column[rows].T, np.full((len(steps), 1), np.inf), axis=1)
-            for column in (placed.rear, placed.front, placed.beside)
-        )
-        found = self._simulate(rear, front, beside, near_enough)
+        rear, front, beside = np.full((3, len(steps), len(rows) + 1), np.inf)
+        rear[:, :-1], front[:, :-1], beside[:, :-1] = placed.rear[rows].T, placed.front[rows].T, placed.beside[rows].T
+        found = self._simulate(rear, front, beside, near_enough[:, None])
         answers = np.repeat(found[-1:], len(matters))
         answers[rows] = found[:-1]
         return answers
 
     def _simulate(self, rear: Floats, front: Floats, beside: Floats, near_enough: Floats) -> Bools:
-        """(B,) `hits` of bodies that are (S + 1, B), by instants."""
-        count, half = rear.shape[1], 0.5 * self.way.length_m
-        dt = EVERY_FRAMES / FRAME_HZ
-        station, speed = np.full(count, self.station), np.full(count, self.speed)
-        waiting, braking = np.full(count, self.waiting), np.full(count, self.braking)
-        hit, lost = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
-        in_strip, beside_ego = beside <= 0.0, beside <= near_enough[:, None]
-        body_speed = (rear[1:] - rear[:-1]) * (FRAME_HZ / EVERY_FRAMES)
-        for step, (others, later) in enumerate(self._in_way):
-            unsafe = in_strip[step] & (front[step] > station)
-            unsafe &= _is_near(rear[step], body_speed[step], station, speed, half)
-            if others is not None:
-                ahead = others.front > station
-                unsafe |= (ahead & _is_near(others.rear, others.speed, station, speed, half)).any(axis=0)
-            after = speed
-            if unsafe.any():
-                ready = unsafe & (waiting <= 0.0)
-                waiting = np.where(unsafe, waiting - dt, waiting)
-                if ready.any():
-                    braking = np.where(ready, np.minimum(braking + _RISE_M_S3 * dt, self.hardest), braking)
-                    after = np.maximum(speed - np.where(ready, braking, 0.0) * dt, 0.0)
-            station, speed = station + 0.5 * dt * (speed + after), after
-            over = (rear[step + 1] < station + half + _AIR_ALONG_M) & (front[step + 1] > station - half)
-            hit |= over & beside_ego[step + 1]
-            if later is not None:
-                lost |= ((later.rear < station + half) & (later.front > station - half)).any(axis=0)
-        gap = rear[-1] - station - half
+        """(B,) `hits` of bodies that are (S + 1, B), by instants; ``near_enough`` is (S + 1, 1)."""
+        half, dt = 0.5 * self.way.length_m, EVERY_FRAMES / FRAME_HZ
+        in_strip, body_speed = beside <= 0.0, (rear[1:] - rear[:-1]) * (FRAME_HZ / EVERY_FRAMES)
+        # Until it brakes, a driver is at the same place among any bodies.
+        free = self._in_way.free_station[:, None]
+        unsafe = in_strip[:-1] & (front[:-1] > free[:-1])
+        unsafe &= _is_near(rear[:-1], body_speed, free[:-1], self.speed, half)
+        unsafe |= self._in_way.threatens_free[:, None]
+        seen = np.cumsum(unsafe, axis=0)
+        waiting_after = np.subtract.accumulate(np.append(self.waiting, np.full(len(unsafe), dt)))
+        braking = unsafe & (seen > np.count_nonzero(waiting_after > 0.0))
+        station, speed = np.repeat(free, rear.shape[1], axis=1), np.full(rear.shape[1], self.speed)
+        waiting = waiting_after[seen[-1]]
+        rows = np.flatnonzero(braking.any(axis=0))
+        if len(rows):
+            first = int(np.argmax(braking.any(axis=1)))
+            waiting[rows] = waiting_after[seen[first - 1, rows]] if first else self.waiting
+            bodies = (rear[:, rows], front[:, rows], body_speed[:, rows], in_strip[:, rows])
+            station[:, rows], speed[rows], waiting[rows] = self._drive(
+                first, bodies, station[:, rows], speed[rows], waiting[rows]
+            )
+        over = (rear[1:] < station[1:] + half + _AIR_ALONG_M) & (front[1:] > station[1:] - half)
+        hit = (over & (beside[1:] <= near_enough[1:])).any(axis=0)
+        gap = rear[-1] - station[-1] - half
         closing = np.maximum(speed - (rear[-1] - rear[-2]) / dt, 0.0)
         needed = closing * np.maximum(waiting, 0.0) + closing**2 / (2.0 * self.hardest)
         hit |= in_strip[-1] & (gap > -half) & (gap < needed)
         # A driver who would be hit by others in any case is not hit because of a candidate.
-        return np.asarray(hit | (lost & (not self.lost)))
+        return np.asarray(hit if self.lost else hit | self._in_way.find_hit(station, half))
 
-    def _collect_in_way(self) -> "tuple[tuple[_InWay | None, _InWay | None], ...]":
+    def _drive(
+        self, first: int, bodies: tuple[Floats, Floats, Floats, Bools], station: Floats, speed: Floats, waiting: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """The last three as they become from a step on; ``bodies`` are rear, front, speed and who is in the strip."""
+        rear, front, body_speed, in_strip = bodies
+        half, dt, braking = 0.5 * self.way.length_m, EVERY_FRAMES / FRAME_HZ, np.full(len(speed), self.braking)
+        for step in range(first, len(self.steps)):
+            now, others = station[step], self._in_way.at_start[step]
+            unsafe = in_strip[step] & (front[step] > now)
+            unsafe &= _is_near(rear[step], body_speed[step], now, speed, half)
+            if others is not None:
+                unsafe |= _threaten(others, now, speed, half)
+            after = speed
+            if unsafe.any():
+                ready = unsafe & (waiting <= 0.0)
+                np.subtract(waiting, dt, out=waiting, where=unsafe)
+                if ready.any():
+                    np.minimum(braking + _RISE_M_S3 * dt, self.hardest, out=braking, where=ready)
+                    after = np.where(ready, np.maximum(speed - braking * dt, 0.0), speed)
+            station[step + 1], speed = now + 0.5 * dt * (speed + after), after
+        return station, speed, waiting
+
+    def _collect_in_way(self) -> "_OthersInWay":
         """Others that may matter to a driver who never speeds up: at the start of each step, and at its end."""
         others, half, dt = self.others, 0.5 * self.way.length_m, EVERY_FRAMES / FRAME_HZ
         farthest = self.station + self.speed * dt * np.arange(len(self.steps) + 1) + half + _ROUNDING_M
@@ -198,14 +216,21 @@ class CarefulDriverCheck:
         in_strip = others.beside <= 0.0
         now = in_strip[:, :-1] & (others.front[:, :-1] > self.station)
         now &= others.rear[:, :-1] <= farthest[:-1] + stops
-        later = in_strip & (others.front > self.station - half) & (others.rear < farthest)
-        return tuple(
-            (
-                _InWay.of(now[:, step], others.rear[:, step], others.front[:, step], speed[:, step]),
-                _InWay.of(later[:, step + 1], others.rear[:, step + 1], others.front[:, step + 1], speed[:, step]),
-            )
-            for step in range(len(self.steps))
+        at_start = tuple(
+            (others.rear[rows, at, None], others.front[rows, at, None], speed[rows, at, None]) if len(rows) else None
+            for at, rows in enumerate(map(np.flatnonzero, now.T))
         )
+        later = in_strip & (others.front > self.station - half) & (others.rear < farthest)
+        step, row = np.nonzero(later[:, 1:].T)
+        free = np.add.accumulate(
+            np.append(self.station, np.full(len(self.steps), 0.5 * dt * (self.speed + self.speed)))
+        )
+        threats = [
+            some is not None and bool(_threaten(some, free[at], self.speed, half)[0])
+            for at, some in enumerate(at_start)
+        ]
+        rear, front = others.rear[row, step + 1, None], others.front[row, step + 1, None]
+        return _OthersInWay(at_start, step + 1, rear, front, free, np.array(threats, np.bool_))
 
     def compute_missing_distance(self, placed: PathBodies) -> Floats:
         """(B,) metres missing to stop behind the ego for a follower, planned anew after a second, not braking earlier.
@@ -224,25 +249,39 @@ get_careful_driver_check: Final = IdentityCache[Scene, CarefulDriverCheck](Caref
 """`CarefulDriverCheck.of`: a planning frame asks for it of its candidates, and of what it chose."""
 
 
-@dataclass(frozen=True, slots=True)
-class _InWay:
-    """(M, 1) of M others at an instant: metres on the ego's way, and m/s."""
+_Bodies = tuple[Floats, Floats, Floats]
+"""(M, 1) of M others at an instant: rear and front in metres on the ego's way, and m/s."""
 
+
+@dataclass(frozen=True, slots=True)
+class _OthersInWay:
+    """Others at the start of each step, and L times one of them at an instant: (L,) ``at``, (L, 1) ``rear``, ``front``.
+
+    A driver who never brakes is at ``free_station`` (S + 1,), and feels unsafe because of others by ``threatens_free``.
+    """
+
+    at_start: tuple[_Bodies | None, ...]
+    at: Integers
     rear: Floats
     front: Floats
-    speed: Floats
+    free_station: Floats
+    threatens_free: Bools
 
-    @classmethod
-    def of(cls, rows: Bools, *columns: Floats) -> "_InWay | None":
-        """Some of all others' numbers; ``None`` of none."""
-        return cls(*(column[rows][:, None] for column in columns)) if rows.any() else None
+    def find_hit(self, station: Floats, half: float) -> Bools:
+        """(B,) whether others touch drivers at (S + 1, B) stations."""
+        there = station[self.at]
+        return np.asarray(((self.rear < there + half) & (self.front > there - half)).any(axis=0))
 
 
-def _is_near(rear: Floats, body_speed: Floats, station: Floats, speed: Floats, half: float) -> Bools:
+def _threaten(others: _Bodies, station: Floats, speed: Floats | float, half: float) -> Bools:
+    """(B,) whether one of some others is near ahead of a driver."""
+    rear, front, body_speed = others
+    return np.asarray(((front > station) & _is_near(rear, body_speed, station, speed, half)).any(axis=0))
+
+
+def _is_near(rear: Floats, body_speed: Floats, station: Floats, speed: Floats | float, half: float) -> Bools:
     """(..., B) whether a vehicle's rear is less than two seconds ahead of the ego's front, or behind that."""
-    gap = rear - station - half
-    closing = speed - body_speed
-    return np.asarray((gap <= 0.0) | ((closing > 0.0) & (gap <= CAREFUL_TIME_S * closing)))
+    return np.asarray(rear - station - half <= np.maximum(CAREFUL_TIME_S * (speed - body_speed), 0.0))
 
 
 def _collect_others(scene: Scene, agent: int, way: RecordedEgoPath, frame: int, steps: tuple[int, ...]) -> PathBodies:

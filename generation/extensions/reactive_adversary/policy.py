@@ -6,6 +6,7 @@ can then end without touching any but the ego, to the scene's last frame (`safe_
 driven where nothing better is found.
 """
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
@@ -310,18 +311,22 @@ class ReactiveAdversary:
         # An adversary that is already off the road may return to it, however.
         on_road = bool(scene.road_map.is_drivable(memory.track[-1, :2]))
         candidates = [] if refinement is None else list_allowed(refinement, self.settings.hyper, steps, on_road=on_road)
-        cached_ending = np.concatenate([memory.track[-1:], memory.ending])
-        options = [*self._compute_brakings((0.0, *BRAKING_M_S2), around, memory), cached_ending]
+
+        @functools.cache
+        def list_options() -> list[Floats]:
+            cached_ending = np.concatenate([memory.track[-1:], memory.ending])
+            return [*self._compute_brakings((0.0, *BRAKING_M_S2), around, memory), cached_ending]
+
         chosen: tuple[int, int, Floats] | Floats | None
         if rules is not None:
-            chosen = choose_by_rules(candidates, refinement, around, steps, rules, options)
+            chosen = choose_by_rules(candidates, refinement, around, steps, rules, list_options)
             if chosen is None:
-                chosen = rules.find_clearest(around, scene, frame, options)
+                chosen = rules.find_clearest(around, scene, frame, list_options())
         else:
             chosen = find_drivable(candidates, refinement, around, steps)
             if chosen is None:
                 # Brakes on the meant path, as gently as touches no other; or the ending kept; or the longest one.
-                chosen = around.find_longest(options)
+                chosen = around.find_longest(list_options())
         if not isinstance(chosen, tuple):
             return self._build_braked_motion(frame, steps, chosen)
         assert refinement is not None

@@ -19,7 +19,7 @@ from benchmark.geometry import Bools, Floats, box_corners
 from benchmark.interactions.tracks import ContinuousTracks
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
-from generation.extensions.reactive_adversary.careful_driver import CarefulDriverCheck
+from generation.extensions.reactive_adversary.careful_driver import LOOK_FRAMES, CarefulDriverCheck
 from generation.extensions.reactive_adversary.returning import build_returns
 from generation.extensions.reactive_adversary.safe_endings import SurroundingTracks
 
@@ -105,15 +105,17 @@ class AdversaryRules:
 
     def are_fair(self, center: Floats) -> Bools:
         """(N,) whether a careful human touches nobody, or the ego never meets it; (N, F, 3) poses from now on."""
-        count = len(center)
-        motion = SimulatedMotion(center, np.zeros((count, 0, 6)), np.zeros((count, 0, 2)), np.ones(count, np.bool_))
-        fair = np.ones(count, np.bool_)
+        fair, center = np.ones(len(center), np.bool_), center[:, : LOOK_FRAMES + 1]
         for careful in self.careful:
-            placed = careful.place(motion, self.size)
-            fair &= ~careful.hits(placed)
+            rows = np.flatnonzero(fair)
+            if not len(rows):
+                break
+            none = np.zeros((len(rows), 0, 6)), np.zeros((len(rows), 0, 2))
+            placed = careful.place(SimulatedMotion(center[rows], *none, fair[rows]), self.size)
+            fair[rows] = ~careful.hits(placed)
             if careful.lost:
                 # Others hit the human in any case: then it may not be met at all.
-                fair &= ~careful.is_met(placed, in_front=False)
+                fair[rows] &= ~careful.is_met(placed, in_front=False)
         return fair
 
     @property

@@ -57,13 +57,11 @@ class SurroundingTracks:
         clock = np.arange((clock_us - now_us) % INSTANT_US, scene.timestamps_us[-1] - now_us + 1, INSTANT_US) / 1e6
         seconds = np.unique(np.concatenate([clock, frames]))
         seconds = seconds[seconds > 0.0]
-        boxes, present = ContinuousTracks.of_scene(scene).agents_at(
-            np.minimum(seconds + float(scene.seconds[frame]), float(scene.seconds[-1]))
-        )
-        present[agent] = False
+        others = _select_later(scene, agent, frame)
+        boxes, present = others.agents_at(np.minimum(seconds + float(scene.seconds[frame]), float(scene.seconds[-1])))
         boxes, present = np.ascontiguousarray(boxes.transpose(1, 0, 2)), np.ascontiguousarray(present.T)
         low, high = _bound(boxes, present)
-        reach = 0.5 * np.hypot(*scene.agents.size[:, :2].T)
+        reach = 0.5 * np.hypot(*others.agents[:, 0, 2:4].T)
         size = scene.agents.size[agent, :2] + 2.0 * AIR_M
         return cls(frames, seconds, boxes, present, reach, low, high, size)
 
@@ -206,20 +204,26 @@ class SurroundingTracks:
         if begin >= count or not len(clear):
             return clear
         motion, chunk, other = self._find_near_chunks(columns[:2], known, begin, count)
+        if not len(motion):
+            return clear
+        # All instants of each motion that is near anybody: faster than those that matter, one by one.
+        rows = slice(begin + int(chunk.min()) * _CHUNK, min(begin + (int(chunk.max()) + 1) * _CHUNK, count))
+        between = InstantsBetween.of(known, self.seconds[rows])
+        moving, place = np.unique(motion, return_inverse=True)
+        own_x, own_y = between.at(columns[:2, moving])
         row = (chunk[:, None] * _CHUNK + np.arange(begin, begin + _CHUNK)).ravel()
-        motion, other = np.repeat(motion, _CHUNK), np.repeat(other, _CHUNK)
+        place, other = np.repeat(place, _CHUNK), np.repeat(other, _CHUNK)
         there = (row < count) & self.present[np.minimum(row, count - 1), other]
-        motion, row, other = motion[there], row[there], other[there]
-        between = InstantsBetween.of(known, self.seconds[:count])
-        x, y = (between.at(axis, motion, row) for axis in columns[:2])
-        away_x, away_y = self.boxes[row, other, 0] - x, self.boxes[row, other, 1] - y
-        near = away_x**2 + away_y**2 <= (self._reach_of_both[other]) ** 2
-        motion, row, other = motion[near], row[near], other[near]
-        turning, where = np.unique(motion, return_inverse=True)
+        place, row, other = place[there], row[there], other[there]
+        x, y = own_x[place, row - rows.start], own_y[place, row - rows.start]
+        theirs = self.boxes[row, other]
+        near = (theirs[:, 0] - x) ** 2 + (theirs[:, 1] - y) ** 2 <= (self._reach_of_both**2)[other]
+        place, row = place[near], row[near]
+        turning, where = np.unique(place, return_inverse=True)
         own = np.empty((len(row), 5))
         own[:, 0], own[:, 1], own[:, 2:4] = x[near], y[near], self.size
-        own[:, 4] = between.at(np.unwrap(columns[2, turning], axis=1), where, row)
-        clear[motion[boxes_overlap(own, self.boxes[row, other])]] = False
+        own[:, 4] = between.at(np.unwrap(columns[2, moving[turning]], axis=1))[where, row - rows.start]
+        clear[moving[place[boxes_overlap(own, theirs[near])]]] = False
         return clear
 
     def _find_near_chunks(
@@ -253,6 +257,18 @@ class SurroundingTracks:
     def find_longest(self, motions: Iterable[Floats]) -> Floats:
         """The first of some motions that last longest before they touch another."""
         return max(motions, key=self.compute_clear_seconds)
+
+
+def _select_later(scene: Scene, agent: int, frame: int) -> ContinuousTracks:
+    """Tracks from a frame on, or a little before it, of all but one agent who are there then."""
+    agents, rest = scene.agents, slice(max(frame - 1, 0), None)
+    there = agents.valid[:, rest].any(axis=1)
+    there[agent] = False
+    rows = np.flatnonzero(there)
+    size = np.broadcast_to(agents.size[rows, None, :2], (len(rows), len(scene.seconds[rest]), 2))
+    boxes = np.concatenate([agents.position[rows, rest, :2], size, agents.yaw[rows, rest, None]], axis=-1)
+    names = tuple(agents.categories[row] for row in rows.tolist())
+    return ContinuousTracks(scene.seconds[rest], scene.ego.boxes[rest], boxes, agents.valid[rows, rest], names)
 
 
 def _bound(boxes: Floats, present: Bools) -> tuple[Floats, Floats]:

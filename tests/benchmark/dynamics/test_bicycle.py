@@ -16,7 +16,14 @@ from benchmark.dynamics.bicycle import (
     compute_rear_axle,
     simulate,
 )
-from benchmark.dynamics.reference_path import _interpolation, _speed_fit, build_reference_path
+from benchmark.dynamics.reference_path import (
+    HELD_BELOW_M_S,
+    _hold_chords,
+    _hold_step_by_step,
+    _interpolation,
+    _speed_fit,
+    build_reference_path,
+)
 from benchmark.geometry import Floats, wrap_angle
 from tests.benchmark.dynamics.slow_physics import slow_path, slow_simulate
 
@@ -156,6 +163,17 @@ def test_the_fast_side_agrees_with_the_slow_one(
             error[:, 2] = wrap_angle(error[:, 2])
             assert np.abs(error).max() < 1e-6
         np.testing.assert_allclose(fast.commands[index], commands, atol=1e-6)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32), size=st.sampled_from([0.01, 0.1, 1.0]), drift=st.sampled_from([0.0, 0.1, 1.0]))
+def test_chords_are_held_as_step_by_step(seed: int, size: float, drift: float) -> None:
+    rng, dt = np.random.default_rng(seed), 1.0 / 12.0
+    chord = size * rng.normal(size=(12, 2, 5)) + np.array([drift, 0.0])[:, None]
+    expected, ahead = chord.copy(), np.array([[1.0], [0.0]]).repeat(5, axis=1)
+    _hold_step_by_step(expected, (chord**2).sum(axis=1) < (2.0 * HELD_BELOW_M_S * dt) ** 2, ahead)
+    _hold_chords(chord, dt)
+    assert chord.tolist() == expected.tolist()
 
 
 def test_a_standing_car_starts_and_a_moving_one_stops_and_none_reverses() -> None:

@@ -16,7 +16,7 @@ from benchmark.geometry import Floats, quaternion_from_yaw, to_global
 from benchmark.records.attempts import ManoeuvreLabels
 from benchmark.road_map import RoadMap, as_multipolygon
 from benchmark.scene import EgoTrack, Scene
-from generation.labels.interactions import PathFrame, compute_path_interaction
+from generation.labels.interactions import VERTEX_STEP_M, PathFrame, compute_path_interaction
 from generation.labels.labelling import compute_labels
 from generation.labels.manoeuvres import Manoeuvre, find_encroachment, smooth_mask
 from tests.hand_made import Car, scene_on_straight_road
@@ -328,6 +328,20 @@ def test_the_ego_s_own_station_is_the_way_it_drove(bend: str) -> None:
     ego = _on_path(driven, 0.01 * np.sin(50 * t), CURVATURES[bend])
     path = PathFrame.of(np.column_stack([ego[:, :2], np.full((96, 2), 2.0), ego[:, 2]]))
     assert path.ego_stations == pytest.approx(driven, abs=0.1)
+
+
+@settings(max_examples=20, deadline=None)
+@given(speed=st.sampled_from([0.0, 0.3, 4.0, 11.9, 12.0, 12.1]), noise=st.sampled_from([0.0, 1e-16, 1e-9, 0.3]))
+def test_vertices_are_a_step_apart_by_the_distance_itself(speed: float, noise: float) -> None:
+    along = speed * np.arange(96) / FRAME_HZ
+    ego = np.column_stack([along, noise * np.sin(37 * along), np.full((96, 2), 2.0), np.zeros(96)])
+    chosen = [0]
+    for frame in range(1, len(ego)):
+        if np.hypot(*(ego[frame, :2] - ego[chosen[-1], :2])) >= VERTEX_STEP_M:
+            chosen.append(frame)
+    path = PathFrame.of(ego)
+    first = int(np.argmin(np.abs(path.stations)))
+    assert path.vertices[first : first + len(chosen)].tolist() == ego[chosen, :2].tolist()
 
 
 @settings(max_examples=20, deadline=None)
