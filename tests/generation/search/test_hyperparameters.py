@@ -12,7 +12,7 @@ from generation.search.threat_settings import ThreatSettings
 
 YOUNGER = (
     "timestep_frames", "varied", "init_least", "score", "motion", "choice", "launch", "discards", "manoeuvre_weight",
-    "proposal",
+    "proposal", "ego",
 )  # fmt: skip
 THREAT: dict[str, Any] = asdict(ThreatSettings())
 
@@ -90,7 +90,7 @@ def test_younger_settings_that_change_nothing_leave_kept_work_where_it_was() -> 
     for assignment in (
         "timestep_frames=2", "varied=false", "init_least=0.02", "score=reference", "motion=unlimited",
         "choice=reference", "launch=start", "discards=paper", "manoeuvre_weight=1",
-        "proposal=retimed",
+        "proposal=retimed", "ego=idm",
     ):  # fmt: skip
         keys.add(HyperParameters().changed([assignment]).fingerprint)
     assert len(keys) == 3 + len(YOUNGER)
