@@ -37,6 +37,8 @@ MEETING_S: Final = (2.0, 5.0)
 HARDEST_M_S2: Final = 5.5
 """Braking that is counted on; the driver has a little more."""
 LEAST_SPEED_M_S: Final = 1.0
+LEAST_PRESSURE: Final = 0.02
+"""A scene in which fewer plans of who keeps its speed are wrong is inert."""
 HORIZON_STEPS: Final = (2, 4, 6)
 
 
@@ -88,7 +90,7 @@ class PressingPlanning(AdversaryPlanning):
             self.agent, slice(self.start, self.start + len(poses)), poses
         )
         pressure = measure_pressure(scene, self.agent, self.start)
-        if pressure == 0.0:
+        if pressure < LEAST_PRESSURE:
             return replace(planned, failure=VerificationFailure(DiscardReason.EGO_INERT))
         return replace(planned, driven=drive.tracks, pressure=pressure)
 
