@@ -150,3 +150,11 @@ def test_the_partner_is_of_the_same_planner_and_has_most_of_the_recordings() -> 
     seeing = [of(each, miniature=True) for each in (adversarial, val, rendered)]
     assert find_unchanged_record(seeing[0], [seeing[2], seeing[1]]) is seeing[2]
     assert find_unchanged_record(adversarial, [of(val, weights_sha256="0" * 64)]) is None
+
+
+def test_an_ego_that_reacts_is_paired_with_the_same_driver_undisturbed_and_with_nobody_else() -> None:
+    driven, undisturbed = ran(ADVERSARIAL, "adv-ego-careful"), ran(UNCHANGED, "val-r-ego-careful")
+    others = [ran(UNCHANGED, split) for split in ("val", "val-r", "val-r-ego-idm")]
+    assert find_unchanged_record(driven, [*others, undisturbed]) is undisturbed
+    assert find_unchanged_record(driven, others) is None
+    assert find_unchanged_record(ran(ADVERSARIAL), [undisturbed]) is None
