@@ -9,7 +9,10 @@ from bench.attacking.children import HANG_S, MEMORY_BYTES, CommandOutcome
 from bench.attacking.targets import Target
 
 _LONGEST_SENTENCE: Final = 1200
-_BEFORE: Final = re.compile(r"warning: |[\w .-]+: \d+ of \d+ |the model server at \S+ (is gone|returns plans with)\b")
+_BEFORE: Final = re.compile(
+    r"warning: |splits? [\w ,-]+(; the default is |, the default; )|[\w .-]+: \d+ of \d+ "
+    r"|the model server at \S+ (is gone|returns plans with)\b"
+)
 
 
 class Verdict(StrEnum):

@@ -158,7 +158,8 @@ def test_the_same_seed_makes_the_same_variants(tmp_path: Path, campaign: Campaig
 def test_refusals_are_one_sentence_that_names_the_path(tmp_path: Path) -> None:
     places = (tmp_path,)
     assert is_one_sentence(f"error: {tmp_path}/a is bad; make it again\n", places)
-    for before in ("warning: slow", "importing scenes: 0 of 1 scene, 0:02"):
+    notice = "split adv, the default; --split chooses another"
+    for before in ("warning: slow", "importing scenes: 0 of 1 scene, 0:02", notice):
         assert is_one_sentence(f"{before}\nerror: {tmp_path}/a is bad; make it again\n", places)
     for said in (
         "error: a is bad\n",
