@@ -18,7 +18,6 @@ from benchmark.closed_loop.world_state import SimulationConfig, WorldState
 from benchmark.geometry import Bools, Floats, boxes_overlap
 from benchmark.interactions.contacts import KINDS, is_at_fault
 from benchmark.interactions.driver_simulation import (
-    DriverMotion,
     DriverSimulation,
     DrivingSituation,
     ReferenceDriver,
@@ -56,10 +55,10 @@ def _run_driver(course: SimulationConfig, situation: DrivingSituation, driver: D
     moment = replace(moment, ego=situation.tracks.ego_at(situation.times[:1])[0], ego_speed=float(situation.speed[0]))
     for step in range(len(situation.times) - 1):
         if advancing is not None:
-            advancing.step(step, _update_situation(situation, world, moment, step), 0)
+            advancing.step(step, update_situation(situation, world.ignored, moment, step), 0)
             (motion,) = advancing.collect_motions()
         assert motion is not None
-        egos = _compute_ego_boxes(situation, motion, step)
+        egos = compute_ego_boxes(situation, step, motion.free_from, motion.station)
         memory, moved = course.policy.act(memory, replace(moment, ego_after=egos[-1]), 0)
         touched = _find_first_contact(course, world, egos, moved, moment.time_us, float(motion.speed[step + 1]))
         if touched is not None:
@@ -70,10 +69,10 @@ def _run_driver(course: SimulationConfig, situation: DrivingSituation, driver: D
     return LadderOutcome(survives=True)
 
 
-def _update_situation(
-    situation: DrivingSituation, world: WorldState, moment: TrafficSnapshot, step: int
+def update_situation(
+    situation: DrivingSituation, ignored: Bools, moment: TrafficSnapshot, step: int
 ) -> DrivingSituation:
-    """The situation of now: of the recording only the ego's path is left."""
+    """The situation of now: of the recording only the ego's path is left; (N,) agents may be ignored."""
     relations = PathRelations.now(
         situation.path,
         float(situation.times[step]),
@@ -83,10 +82,10 @@ def _update_situation(
         situation.tracks.hides,
         float(situation.station.min()),
     )
-    return CurrentSituation(situation, relations, world.ignored)
+    return _CurrentSituation(situation, relations, ignored)
 
 
-class CurrentSituation(DrivingSituation):
+class _CurrentSituation(DrivingSituation):
     """A situation with other relations and other people to ignore."""
 
     def __init__(self, situation: DrivingSituation, relations: PathRelations, ignored: Bools) -> None:
@@ -95,14 +94,16 @@ class CurrentSituation(DrivingSituation):
         self.relations, self.ignored = relations, ignored
 
 
-def _compute_ego_boxes(situation: DrivingSituation, motion: DriverMotion, step: int) -> Floats:
-    """(2, 5) the driver's body after 0.05 and 0.1 s of a step: the recording's until it drives by itself."""
+def compute_ego_boxes(situation: DrivingSituation, step: int, free_from: int, station: Floats) -> Floats:
+    """(2, 5) a driver's body after 0.05 and 0.1 s of a step: the recording's until it drives by itself.
+
+    (K,) ``station`` are metres along the path at the instants of the situation.
+    """
     share = np.arange(1, INSTANTS + 1) / INSTANTS
-    if step < motion.free_from:
+    if step < free_from:
         first, last = situation.times[step : step + 2]
         return situation.tracks.ego_at(first + share * (last - first))
-    station = motion.station[step] + share * (motion.station[step + 1] - motion.station[step])
-    return situation.path.boxes(station)
+    return situation.path.boxes(station[step] + share * (station[step + 1] - station[step]))
 
 
 def _find_first_contact(

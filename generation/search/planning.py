@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 
@@ -77,11 +77,13 @@ class PlannedTrack:
 
 @dataclass(frozen=True, slots=True)
 class AdversaryPlanning:
-    """Planning frames of one adversary, one after the other.
+    """Planning frames of one adversary, one after the other; contact with an ego that answers is no failure.
 
     ``stages`` collects seconds of physics and scoring. ``road_around`` is the (3,) pose around which the road is looked
     at, by default the ego's at each planning frame.
     """
+
+    ego_answers: ClassVar[bool] = False
 
     scene: Scene
     agent: int
@@ -111,7 +113,7 @@ class AdversaryPlanning:
             steps = min(self.hyper.executed_frames, len(self.scene.timestamps_us) - 1 - frame)
             executed = refinement.motion.center[refinement.chosen, 1 : steps + 1]
             plans.append(build_planning_frame(frame, refinement))
-            finding = self._find_failure(frame, executed, refinement.score)
+            finding = self.find_failure(frame, executed, refinement.score)
             if finding is None or finding.reason is DiscardReason.LEAVES_AREA:
                 track.append(executed)
             if finding is not None:
@@ -143,7 +145,7 @@ class AdversaryPlanning:
         now, before = self._find_pose(frame, track), self._find_pose(frame - SPEED_FRAMES, track)
         return compute_reference_state(before, now, float(self.scene.agents.size[self.agent, 0]))
 
-    def _find_failure(self, frame: int, executed: Floats, score: float) -> VerificationFailure | None:
+    def find_failure(self, frame: int, executed: Floats, score: float) -> VerificationFailure | None:
         """Why there is no use in going on after executing (F, 3) poses from the frame after ``frame`` on."""
         if not np.isfinite(executed).all():
             return VerificationFailure(DiscardReason.NO_SAFE_CANDIDATE, frame)
@@ -274,7 +276,7 @@ class AdversaryPlanning:
         frames = frame + 1 + np.arange(len(executed))
         size = np.broadcast_to(self.scene.agents.size[self.agent, :2], (len(executed), 2))
         boxes = np.column_stack([executed[:, :2], size, executed[:, 2]])
-        if boxes_overlap(boxes, self.scene.ego.boxes[frames]).any():
+        if not self.ego_answers and boxes_overlap(boxes, self.scene.ego.boxes[frames]).any():
             return EGO
         _, other = find_contacts(boxes, self.scene, self.agent, frames)
         return self.scene.agents.ids[other[0]] if len(other) else None

@@ -111,20 +111,16 @@ class CarefulDriverCheck:
 
     def is_met(self, placed: PathBodies, *, in_front: bool = True) -> Bools:
         """(B,) whether an unreacting ego meets a body; ``in_front`` leaves out those that may hit it from the side."""
+        return np.isfinite(self.find_meeting_times(placed, in_front=in_front))
+
+    def find_meeting_times(self, placed: PathBodies, *, in_front: bool = True) -> Floats:
+        """(B,) seconds until an ego that keeps its speed meets a body, as of `is_met`; infinite where it never does."""
         time = np.arange(len(self.steps) + 1) * EVERY_FRAMES / FRAME_HZ
         station, half = self.station + self.speed * time, 0.5 * self.way.length_m
         over = (placed.rear < station + half) & (placed.front > station - half) & (placed.beside <= 0.0)
         first = np.argmax(over, axis=1)
-        rows = np.arange(len(over))
-        ahead = placed.rear[rows, first] > station[first] if in_front else True
-        return np.asarray(over.any(axis=1) & ~over[:, 0] & ahead)
-
-    def find_meeting_times(self, placed: PathBodies) -> Floats:
-        """(B,) seconds until an ego that keeps its speed runs into a body ahead; infinite where it never does."""
-        time = np.arange(len(self.steps) + 1) * EVERY_FRAMES / FRAME_HZ
-        station, half = self.station + self.speed * time, 0.5 * self.way.length_m
-        over = (placed.rear < station + half) & (placed.front > station - half) & (placed.beside <= 0.0)
-        return np.where(self.is_met(placed), time[np.argmax(over, axis=1)], np.inf)
+        ahead = placed.rear[np.arange(len(over)), first] > station[first] if in_front else True
+        return np.where(over.any(axis=1) & ~over[:, 0] & ahead, time[first], np.inf)
 
     def is_following(self, now: Floats, size: Floats) -> bool:
         """Whether a vehicle at (1, 3) is behind the ego."""

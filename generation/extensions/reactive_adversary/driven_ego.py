@@ -13,12 +13,11 @@ from scipy.interpolate import PchipInterpolator
 
 from benchmark.closed_loop.agent_policy import AgentMotion, TrafficSnapshot
 from benchmark.closed_loop.plan_tracking import INSTANTS, SUBSTEP_US
-from benchmark.closed_loop.reference_drivers import CurrentSituation
+from benchmark.closed_loop.reference_drivers import compute_ego_boxes, update_situation
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M
 from benchmark.geometry import Bools, Floats, boxes_overlap, poses_between, wrap_angle
 from benchmark.interactions.driver_simulation import DriverSimulation, DrivingSituation, ReferenceDriver
 from benchmark.interactions.reaction import REACTION_S, Driver
-from benchmark.interactions.relations import PathRelations
 from benchmark.interactions.tracks import STEP_S, ContinuousTracks
 from benchmark.machine.identity_cache import IdentityCache
 from benchmark.scene import Scene
@@ -91,17 +90,8 @@ class DrivenWorld:
 
     def _advance_step(self, start: int, track: Floats | None) -> None:
         step, situation, moment = self.step, self.situation, self.moment
-        relations = PathRelations.now(
-            situation.path,
-            float(situation.times[step]),
-            moment.boxes,
-            moment.present,
-            moment.velocity,
-            situation.tracks.hides,
-            float(situation.station.min()),
-        )
-        self.simulation.step(step, CurrentSituation(situation, relations, situation.ignored), 0)
-        egos = self._compute_ego_boxes()
+        self.simulation.step(step, update_situation(situation, situation.ignored, moment, step), 0)
+        egos = compute_ego_boxes(situation, step, int(self.simulation.free_from[0]), self.simulation.station[0])
         speed = float(self.simulation.speed[0, step + 1])
         self.memory, moved = self.policy.act(self.memory, moment, 0)
         moved = self._place_adversary(moved, start, track)
@@ -111,16 +101,6 @@ class DrivenWorld:
         now = moment.time_us + SUBSTEP_US
         self.moment = TrafficSnapshot(now, egos[-1], speed, moved.boxes[-1], moved.present[-1], moved.velocity)
         self.states.append((moved.boxes[-1][:, [0, 1, 4]], moved.present[-1]))
-
-    def _compute_ego_boxes(self) -> Floats:
-        """(2, 5) the driver's body after 0.05 and 0.1 s: the recording's until it drives by itself."""
-        step, simulation, situation = self.step, self.simulation, self.situation
-        share = np.arange(1, INSTANTS + 1) / INSTANTS
-        if step < simulation.free_from[0]:
-            first, last = situation.times[step : step + 2]
-            return situation.tracks.ego_at(first + share * (last - first))
-        first, last = simulation.station[0, step : step + 2]
-        return situation.path.boxes(first + share * (last - first))
 
     def _place_adversary(self, moved: AgentMotion, start: int, track: Floats | None) -> AgentMotion:
         """The motion of 0.1 s with the adversary on its track, once that has begun."""
@@ -187,9 +167,9 @@ class DrivenWorld:
         times, seconds = self.situation.times, self.scene.seconds
         poses = np.stack([state for state, _ in self.states])
         present = np.stack([there for _, there in self.states])
+        recorded, _ = self.situation.tracks.agents_at(times)
         for index in np.flatnonzero(self.memory.come).tolist():
             agent = int(self.policy.driving[index])
-            recorded, _ = self.situation.tracks.agents_at(times)
             left = np.hypot(*(poses[:, agent, :2] - recorded[agent, :, :2]).T) > 1e-9
             there = np.flatnonzero(present[:, agent])
             if not (left & present[:, agent]).any():

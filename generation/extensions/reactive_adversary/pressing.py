@@ -5,7 +5,7 @@ A recorded ego must pass, so that nobody can get in its way. One that reacts may
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 
@@ -13,20 +13,19 @@ from benchmark.constants import FRAMES_PER_KEYFRAME, PLAN_STEPS
 from benchmark.dynamics.bicycle import SimulatedMotion
 from benchmark.geometry import Floats, boxes_overlap, to_local
 from benchmark.interactions.reaction import REACTION_S
-from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.extensions.reactive_adversary.careful_driver import (
     HIT_WEIGHT,
     CarefulDriverCheck,
+    ReactivePlanning,
     compute_ego_speed_at,
 )
 from generation.extensions.reactive_adversary.driven_ego import DrivenWorld, get_undisturbed
 from generation.search.planning import AdversaryPlanning, PlannedTrack, build_planning_frame
 from generation.search.proposals import SearchSteps
-from generation.search.recorded_motion import is_in_canvas
 from generation.search.refinement import ResamplingUnderflowError, build_trace_frame
-from generation.search.scoring import ScoreTerms, ScoringSurroundings, build_surroundings
-from generation.search.verify import DiscardReason, VerificationFailure, find_contacts
+from generation.search.scoring import ScoreTerms
+from generation.search.verify import DiscardReason, VerificationFailure
 
 EVERY_FRAMES: Final = 2 * FRAMES_PER_KEYFRAME
 """Between two plans."""
@@ -43,11 +42,13 @@ HORIZON_STEPS: Final = (2, 4, 6)
 
 
 @dataclass(frozen=True, slots=True)
-class PressingPlanning(AdversaryPlanning):
+class PressingPlanning(ReactivePlanning):
     """Planning frames of an adversary that the ego has to answer; ``scene`` has the recorded ego.
 
     ``reaction`` is the ego's at a planning frame (`DrivenWorld.reaction`).
     """
+
+    ego_answers: ClassVar[bool] = True
 
     reaction: tuple[float, float] = (REACTION_S, 0.0)
 
@@ -67,7 +68,7 @@ class PressingPlanning(AdversaryPlanning):
             steps = min(EVERY_FRAMES, last - frame)
             executed = refinement.motion.center[refinement.chosen, 1 : steps + 1]
             plans.append(build_planning_frame(frame, refinement))
-            failure = here.find_failure(frame, executed)
+            failure = here.find_failure(frame, executed, refinement.score)
             if failure is not None:
                 return _give_up(poses, failure)
             if self.keep_rounds:
@@ -93,29 +94,6 @@ class PressingPlanning(AdversaryPlanning):
         if pressure < LEAST_PRESSURE:
             return replace(planned, failure=VerificationFailure(DiscardReason.EGO_INERT))
         return replace(planned, driven=drive.tracks, pressure=pressure)
-
-    def find_failure(self, frame: int, executed: Floats) -> VerificationFailure | None:
-        """Why there is no use in going on after (F, 3) poses from the frame after ``frame`` on."""
-        if not np.isfinite(executed).all():
-            return VerificationFailure(DiscardReason.NO_SAFE_CANDIDATE, frame)
-        frames = frame + 1 + np.arange(len(executed))
-        size = np.broadcast_to(self.scene.agents.size[self.agent, :2], (len(executed), 2))
-        _, other = find_contacts(
-            np.column_stack([executed[:, :2], size, executed[:, 2]]), self.scene, self.agent, frames
-        )
-        if len(other):
-            return VerificationFailure(DiscardReason.NO_SAFE_CANDIDATE, frame, self.scene.agents.ids[other[0]])
-        inside = is_in_canvas(self.scene, executed[:, :2], self.hyper.half_extent_m, first=frame + 1)
-        if inside.all():
-            return None
-        return VerificationFailure(DiscardReason.LEAVES_AREA, frame + 1 + int(np.argmin(inside)))
-
-    def around(self, frames: tuple[int, ...], raster: DrivableRaster) -> ScoringSurroundings:
-        """All but the ego, which answers."""
-        with_ego = build_surroundings(self.scene, self.agent, frames, raster)
-        present = with_ego.present.copy()
-        present[:, -1] = False
-        return replace(with_ego, present=present)
 
     def build_rating(
         self, frame: int, offsets: tuple[int, ...], track: Floats
