@@ -24,7 +24,7 @@ from generation.extensions.reactive_adversary.driven_ego import (
     smooth_station,
 )
 from generation.extensions.reactive_adversary.followers import find_followers
-from generation.extensions.reactive_adversary.pressing import PressingPlanning, measure_pressure
+from generation.extensions.reactive_adversary.pressing import LEAST_PRESSURE, PressingPlanning, measure_pressure
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import build_split
 from generation.search.attempts import StoredDrive
@@ -173,16 +173,21 @@ def test_the_tracks_of_a_drive_are_stored_as_they_are() -> None:
 
 def test_an_adversary_presses_an_ego_that_survives() -> None:
     scene = scene_on_straight_road((Car(62.0, 194.75, 9.0), Car(90.0, 198.25, 8.0)), seconds=10.0)
-    hyper = replace(CHEAP.hyper, ego=EgoDriver.CAREFUL)
-    planning = PressingPlanning(
-        scene, 0, 12, hyper, unchanged, hyper.motion_model(), np.random.default_rng(0), {"physics": 0.0, "scoring": 0.0}
-    )
-    (planned,), _ = run_searches([planning.run()], DrivingPrior())
-    assert len(planned.poses) == len(scene.seconds) - 12 or planned.failure is not None
-    if planned.failure is None:
-        assert planned.driven is not None and planned.pressure > 0.0
-    else:
-        assert planned.failure.reason is not DiscardReason.HITS_EGO
+    hyper, stages = replace(CHEAP.hyper, ego=EgoDriver.CAREFUL), {"physics": 0.0, "scoring": 0.0}
+    searches = [
+        PressingPlanning(
+            scene, 0, 12, hyper, unchanged, hyper.motion_model(), np.random.default_rng(seed), stages
+        ).run()
+        for seed in range(6)
+    ]
+    planned, _ = run_searches(searches, DrivingPrior())
+    kept = [each for each in planned if each.failure is None]
+    assert kept
+    for each in kept:
+        assert each.driven is not None and each.pressure >= LEAST_PRESSURE
+        track = slice(12, len(scene.seconds))
+        made = each.driven.put_into(scene).with_adversary(0, track, each.poses)
+        assert not boxes_overlap(made.ego.boxes[track], made.agents.boxes[0, track]).any()
 
 
 @pytest.fixture(scope="module")
