@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, read_json
-from benchmark.metrics.rates import Rate
+from benchmark.metrics.rates import PairedDifference, Rate
 from benchmark.published import ABLATION
 from benchmark.records.run_schema import DataFacts, PlannerFacts
 from benchmark.records.store import read_records, validate_stored
@@ -18,8 +18,9 @@ from benchmark.report.cells import RANKS_NOTHING
 from benchmark.report.table import Table, TableExcerpt, build_table
 from benchmark.report.words import pluralise
 
-SCHEMA: Final = 1
+SCHEMA: Final = 2
 RECORD: Final = "ablation.json"
+_COUNTS: Final = ("search", "tried", "kept", "discarded", "collisions")
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +49,9 @@ VARIANTS: Final = (
 class AblationRow(Stored):
     """Results of one variant; the counts are of vehicles tried, and of their samples that count.
 
-    A colliding sample is one of a kept attempt in which the planner collides within three seconds. Intervals of rates
-    are over recorded scenes; ``mean_gap_m`` is the mean over kept attempts of the smallest gap between adversary and
-    ego.
+    A colliding sample is one of a kept attempt in which the planner touches the adversary first, within three seconds;
+    in schema 1, in which it touches anybody. Intervals of rates are over recorded scenes; ``mean_gap_m`` is the mean
+    over kept attempts of the smallest gap between adversary and ego.
 
     Attributes:
         name: Of the variant.
@@ -59,9 +60,11 @@ class AblationRow(Stored):
         discarded: The others, by reason.
         samples_attempted: Samples of the scenes of all tried vehicles.
         samples_kept: Samples of the kept scenes.
-        colliding_samples: Those in which the planner collides.
+        colliding_samples: Those in which the planner collides with the adversary.
         rate_attempted: Colliding samples over those of all tried.
         rate_kept: Colliding samples over those of kept scenes.
+        full_minus: Rate of tried of the full search minus this row's, by recorded scene; null for the full search, and
+            in schema 1.
     """
 
     name: str
@@ -74,6 +77,7 @@ class AblationRow(Stored):
     rate_attempted: Rate
     rate_kept: Rate
     mean_gap_m: float | None
+    full_minus: PairedDifference | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -111,11 +115,18 @@ class AblationReport(Stored):
     rows: tuple[AblationRow, ...]
 
     @property
+    def whom(self) -> str:
+        """Who is touched in a colliding sample."""
+        return "anybody" if self.schema_version == 1 else "the adversary"
+
+    @property
     def content_id(self) -> str:
         """Twelve hexadecimal digits made of the study's content, less the paper's numbers that it may quote."""
         content = self.model_dump(mode="json", exclude={"planner": {"published_as", "miniature", "wants"}})
         for row in content["rows"]:
             row |= {"paper_rate": ABLATION[row["name"]]} if row["name"] in ABLATION else {}
+            if self.schema_version == 1:
+                del row["full_minus"]
         return content_key(json.dumps(content, sort_keys=True))[:12]
 
     def table(self) -> Table:
@@ -125,18 +136,19 @@ class AblationReport(Stored):
             f"{self.protocol[0]}, 95 % intervals over scenes"
         )
         notes = (
-            "of tried: colliding samples over the samples of all tried vehicles, as in the paper; of kept: over "
-            "those of scenes that passed verification; paper: quoted, UniAD on 20 nuScenes scenes rendered by "
+            f"collisions: samples whose plan touches {self.whom} within 3 s; of tried: over the samples of all tried "
+            "vehicles, as in the paper; of kept: over those of scenes that passed verification; full minus: the first "
+            "row's of tried minus this one's, in points; paper: quoted, UniAD on 20 nuScenes scenes rendered by "
             "MagicDriveDiT; MTR: multi-round refinement, TS: scoring.",
             *([f"{self.planner.name} is a miniature: it {RANKS_NOTHING}."] if self.planner.miniature else []),
         )
         return build_table(
             "ablation",
             title,
-            ("search", "tried", "kept", "discarded", "collisions", "of tried, %", "of kept, %", "gap, m", "paper, %"),
+            (*_COUNTS, "of tried, %", "of kept, %", "full minus", "gap, m", "paper, %"),
             [_cells(row) for row in self.rows],
             notes=notes,
-            brief=TableExcerpt(title, (0, 2, 5, 6, 8), notes, text_columns=1),
+            brief=TableExcerpt(title, (0, 2, 5, 6, 7, 9), notes, text_columns=1),
         )
 
 
@@ -169,12 +181,13 @@ def _cells(row: AblationRow) -> tuple[str, ...]:
         f"{row.colliding_samples} of {row.samples_kept}",
         _percent(row.rate_attempted),
         _percent(row.rate_kept),
+        "-" if row.full_minus is None else _percent(row.full_minus),
         "-" if row.mean_gap_m is None else f"{row.mean_gap_m:.2f}",
         "-" if variant is None else variant.published,
     )
 
 
-def _percent(rate: Rate) -> str:
+def _percent(rate: Rate | PairedDifference) -> str:
     if rate.value is None:
         return "-"
     interval = "" if rate.low is None or rate.high is None else f" [{100 * rate.low:.2f}, {100 * rate.high:.2f}]"

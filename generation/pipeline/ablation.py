@@ -2,20 +2,23 @@
 
 Each row is a build of its own with the same vehicles, and a planner is run on what survives. The paper reports "the
 percentage of samples that Challenger could successfully generate while the model failed to navigate safely": samples of
-discarded attempts count below the line and never above it.
+discarded attempts count below the line and never above it. Failures count whose first contact is with the adversary.
 """
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.evaluation import EvalSettings, evaluate
+from benchmark.geometry import Floats
 from benchmark.machine.storage import write_json
-from benchmark.metrics.rates import compute_ratios_over_scenes
+from benchmark.metrics.effect import find_attributed_collisions
+from benchmark.metrics.rates import compute_paired_difference, compute_ratios_over_scenes
 from benchmark.protocols import find_protocol
 from benchmark.records.ablation import RECORD, SCHEMA, VARIANTS, AblationReport, AblationRow, AblationVariant
 from benchmark.records.attempts import ATTEMPTS_FILE, Attempt, read_attempts
@@ -45,9 +48,10 @@ def run_ablation(source: DataSet, planner: PlannerUnderTest, settings: BuildSett
     """
     names = list_source_scenes(source, settings)
     samples = {name: sum(truth.by_clock.complete for truth in source.truth(name)) for name in names}
-    rows = tuple(_run_variant(source, planner, settings, variant, samples) for variant in VARIANTS)
-    if len({row.attempted for row in rows}) > 1:
+    results = [_run_variant(source, planner, settings, variant, samples) for variant in VARIANTS]
+    if len({result.row.attempted for result in results}) > 1:
         raise ValueError("rows of one study tried different vehicles")
+    rows = tuple(result.beside(results[0]) for result in results)
     report = AblationReport(
         schema=SCHEMA,
         data=DataFacts(name=source.name, version=source.version, fingerprint=source.fingerprint()),
@@ -88,13 +92,30 @@ def _build_variant_settings(
     )
 
 
+@dataclass(frozen=True, slots=True)
+class _VariantResult:
+    """One row, and by recorded scene its colliding samples and the samples of all tried vehicles, (N,) each."""
+
+    row: AblationRow
+    colliding: Floats
+    tried: Floats
+
+    def beside(self, full: Self) -> AblationRow:
+        """The row with its difference to the full search's."""
+        if self is full:
+            return self.row
+        judged = self.tried > 0
+        difference = compute_paired_difference((full.colliding - self.colliding)[judged], self.tried[judged])
+        return self.row.model_copy(update={"full_minus": difference})
+
+
 def _run_variant(
     source: DataSet,
     planner: PlannerUnderTest,
     settings: BuildSettings,
     variant: AblationVariant,
     samples: dict[str, int],
-) -> AblationRow:
+) -> _VariantResult:
     """Build and judge one variant; ``samples`` are those that count, by recorded scene."""
     row = _build_variant_settings(variant, settings, planner)
     record: RunRecord | None = None
@@ -122,16 +143,18 @@ def _compute_row(
     record: RunRecord | None,
     samples: dict[str, int],
     seed: int,
-) -> AblationRow:
+) -> _VariantResult:
     """Numbers of one variant, by recorded scene first: variants of one recording are resampled together."""
     scene_of = {attempt.written: attempt.scene for attempt in attempts if attempt.written is not None}
     colliding: Counter[str] = Counter()
     judged: Counter[str] = Counter()
-    for row in () if record is None else record.rows:
-        outcome = row.outcomes[PROTOCOL]
-        if outcome.counted and outcome.collision is not None and not outcome.cut_short:
-            judged[scene_of[row.scene]] += 1
-            colliding[scene_of[row.scene]] += any(outcome.collision)
+    if record is not None:
+        failed = find_attributed_collisions(record)
+        for row, failure in zip(record.rows, failed, strict=True):
+            outcome = row.outcomes[PROTOCOL]
+            if outcome.counted and outcome.collision is not None and not outcome.cut_short:
+                judged[scene_of[row.scene]] += 1
+                colliding[scene_of[row.scene]] += bool(failure)
     attempt_counts = Counter(attempt.scene for attempt in attempts)
     scenes = sorted(samples)
     above = np.array([[float(colliding[scene])] * 2 for scene in scenes]).reshape(-1, 2)
@@ -142,7 +165,7 @@ def _compute_row(
     gaps = [
         attempt.closest_approach.gap_m for attempt in attempts if attempt.kept and attempt.closest_approach is not None
     ]
-    return AblationRow(
+    row_of_variant = AblationRow(
         name=variant.name,
         attempted=report.tried,
         kept=report.survived,
@@ -154,3 +177,4 @@ def _compute_row(
         rate_kept=of_kept,
         mean_gap_m=float(np.mean(gaps)) if gaps else None,
     )
+    return _VariantResult(row_of_variant, above[:, 0], below[:, 0])

@@ -4,9 +4,10 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Final
 
+from benchmark.metrics.rates import PairedDifference
 from benchmark.published import ABLATION_SOURCE
 from benchmark.records.ablation import VARIANTS, AblationReport, AblationRow
-from benchmark.report.cells import PERCENT, RANKS_NOTHING, TableCell, ValueSource, format_record_name
+from benchmark.report.cells import PERCENT, RANKS_NOTHING, CellSource, TableCell, ValueSource, format_record_name
 from benchmark.report.table import Table
 from benchmark.report.words import pluralise
 from leaderboard.frame.specification import (
@@ -49,15 +50,20 @@ def _table(study: AblationReport, suffix: str) -> Table:
                 number_columns("collisions"),
                 estimate_columns("of tried", "of kept", digits=2, ends=2, beside="95 % {}"),
             ),
+            *group_columns(
+                "difference of tried in points",
+                estimate_columns("full minus", digits=2, ends=2, beside="95 % {}", signed=True),
+            ),
             *group_columns("smallest gap in m", number_columns("mean gap, m", digits=2)),
             *group_columns("paper, collision rate in %, uniad", number_columns("paper")),
         ],
         [_row(study, row) for row in study.rows],
         (
             f"{pluralise(len(study.scenes), 'recorded scene')}; every row tries the same vehicles. MTR: multi-round "
-            "refinement, TS: scoring. Collisions: colliding samples / samples of kept attempts; of tried: the same "
-            "over the samples of all tried vehicles, the paper's reading. Brackets: 95 % bootstrap interval over "
-            "recorded scenes.",
+            f"refinement, TS: scoring. Collisions: samples whose plan touches {study.whom} within 3 s / samples of "
+            "kept attempts; of tried: the same over the samples of all tried vehicles, the paper's reading; full "
+            "minus: the first row's of tried minus this one's. Brackets: 95 % bootstrap interval over recorded scenes, "
+            "of differences Student's.",
             "Paper: UniAD on 20 nuScenes scenes rendered by MagicDriveDiT; another planner, other scenes and another "
             "renderer, so only the direction of the differences is comparable.",
             *(
@@ -68,6 +74,10 @@ def _table(study: AblationReport, suffix: str) -> Table:
         ),
         sources=(ABLATION_SOURCE,),
     )
+
+
+def _difference(judged: ValueSource, of: PairedDifference) -> CellSource:
+    return judged.cell(of.value, "points", of.recordings, "recordings", low=of.low, high=of.high, scale=100.0)
 
 
 def _row(study: AblationReport, row: AblationRow) -> Values:
@@ -84,6 +94,7 @@ def _row(study: AblationReport, row: AblationRow) -> Values:
         "collisions": colliding.shown(after=f"/{row.samples_kept}"),
         "of tried": judged.percent(row.rate_attempted),
         "of kept": judged.percent(row.rate_kept),
+        "full minus": None if row.full_minus is None else _difference(judged, row.full_minus),
         "mean gap, m": plain.cell(row.mean_gap_m, "m", row.kept, "vehicles"),
         "paper": None if variant is None else quote_number(variant.published, PERCENT, paper),
     }

@@ -1,6 +1,7 @@
 """The four rows of the ablation study."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.records.ablation import VARIANTS, AblationReport, read_ablation
+from benchmark.records.run import find_records
 from generation.pipeline.ablation import estimate_ablation, run_ablation
 from generation.pipeline.surrogate import PlannerUnderTest
 from tests.generation.labels.recorded_roads import BUSY, QUICK, contents, recorded, write_source
@@ -46,6 +48,28 @@ def test_counts_add_up_and_every_row_tries_the_same_vehicles(
         assert row.rate_kept.denominator == row.samples_kept
         tried.append([(attempt["scene"], attempt["agent"]) for attempt in attempts])
     assert tried[0] and all(agents == tried[0] for agents in tried)
+    full, *others = report.rows
+    assert full.full_minus is None
+    for row in others:
+        assert row.full_minus is not None and row.full_minus.recordings == 2
+        fewer = (full.colliding_samples - row.colliding_samples) / row.samples_attempted
+        assert row.full_minus.value == pytest.approx(fewer)
+
+
+def test_contacts_with_bystanders_do_not_count(
+    source: DataSet, study: tuple[Path, AblationReport], tmp_path: Path
+) -> None:
+    # The builds are there already.
+    shutil.copytree(study[0], tmp_path, dirs_exist_ok=True)
+    faster = PlannerUnderTest(Drivers(speed=25.0), images=False)
+    report = run_ablation(source, faster, replace(QUICK, out=tmp_path, limit=2))
+    (record,) = (
+        each for each in find_records(tmp_path / "runs" / "full") if each.run.planner.settings["speed"] == 25.0
+    )
+    outcomes = [row.outcomes["exact"] for row in record.rows]
+    touched = [outcome.facts["hit_adversary"] for outcome in outcomes if outcome.counted]
+    assert touched.count(True) and touched.count(False)
+    assert report.rows[0].colliding_samples == touched.count(True)
 
 
 def test_the_search_is_what_makes_scenes_hard(study: tuple[Path, AblationReport]) -> None:
