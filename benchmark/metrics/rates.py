@@ -29,7 +29,9 @@ FEWEST_DIFFERING_OF_TEN: Final = 5
 
 @dataclass(frozen=True, slots=True)
 class PairedDifference:
-    """Weighted mean difference between two sides of the same recordings; ``None`` without a pair.
+    """Weighted mean difference between two sides of the same recordings.
+
+    ``value`` is ``None`` without a pair, ``recordings`` is the number of pairs.
 
     ``low`` to ``high`` is its 95 % interval, ``None`` where too few recordings say how much they vary. ``differing``
     are recordings whose two sides differ; ``enough`` would give an interval if as many differed as here, ``None`` where

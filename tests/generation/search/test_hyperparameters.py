@@ -61,12 +61,12 @@ def test_what_does_not_fit_is_one_sentence(assignment: str, says: str) -> None:
         HyperParameters().changed([assignment])
 
 
-def test_the_paper_has_its_table_and_nothing_that_it_does_not_name() -> None:
+def test_the_paper_has_its_table_and_the_reading_that_shows_its_pattern() -> None:
     paper = HyperParameters.paper()
-    assert paper.scored_frames == tuple(range(6, 73, 6))
-    assert paper.executed_frames == 72
-    assert (paper.clearance_m, paper.headway_s, paper.tries, paper.staying_preference) == (0.0, 0.0, 1, 0.0)
-    assert (paper.varied, paper.best_of_all_rounds, paper.parked) == (False, False, True)
+    assert paper.scored_frames == (*range(1, 13), *range(14, 37, 2))
+    assert paper.executed_frames == 12
+    assert (paper.clearance_m, paper.headway_s, paper.tries, paper.staying_preference) == (0.25, 0.15, 1, 0.0)
+    assert (paper.varied, paper.best_of_all_rounds, paper.parked) == (False, False, False)
     assert paper.motion_model().limits is None and paper.motion_model().dt == 1 / 12
     table = (paper.dac_weight, paper.cr_weight, paper.ac_weight, paper.temperature, paper.rounds, paper.horizon)
     assert table == (5.0, 10.0, 1.0, 1.0, 5, 12)

@@ -54,11 +54,11 @@ def test_the_reference_tries_cars_alone_parked_ones_among_them() -> None:
     assert find_exclusion_reason(scene_of(NEAR, ego_speed=0.0), 0, REFERENCE) is None
 
 
-def test_the_paper_tries_any_vehicle_that_comes_near() -> None:
+def test_the_paper_tries_any_moving_vehicle_that_comes_near() -> None:
     scene = scene_of(
         NEAR, Car(38.0, 201.75, 8.0, category="vehicle.truck"), Car(75.0, 205.25, 0.0), Car(62.0, 212.0, 8.0)
     )
-    assert [vehicle.agent for vehicle in compute_eligibility(scene, PAPER, 0).chosen] == [0, 1, 2, 3]
+    assert [vehicle.agent for vehicle in compute_eligibility(scene, PAPER, 0).chosen] == [0, 1, 3]
 
 
 def test_the_paper_launches_at_the_first_frame_in_the_area() -> None:

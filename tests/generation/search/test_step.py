@@ -20,12 +20,14 @@ SCENE = scene_on_straight_road(
     seconds=14.0,
 )
 FRAME = 24
+TEXT_ALONE = ("timestep_frames=6", "collision_reading=literal", "lookahead_frames=0", "clearance_m=0", "headway_s=0")
+"""What the loops write out of the paper: no margin around bodies and nothing after the horizon."""
 
 
 @pytest.mark.parametrize("reference", [False, True], ids=["paper", "reference"])
 def test_a_planning_step_is_the_one_that_is_written_out(reference: bool) -> None:
     torch.set_num_threads(1)
-    preset = HyperParameters.reference() if reference else HyperParameters.paper()
+    preset = HyperParameters.reference() if reference else HyperParameters.paper().changed(TEXT_ALONE)
     hyper = replace(preset, candidates=12, rounds=2)
     denoiser = load_denoiser(PACKAGED_WEIGHTS)
     slow = SlowStep(SCENE, 0, FRAME, hyper, denoiser, np.random.default_rng(5), reference=reference).run()
