@@ -149,12 +149,13 @@ class HyperParameters(ThreatSettings):
         lookahead_stride: Every how many frames the tail is sampled.
         lookahead_weight: Step weight of one tail frame (0.03 in the reference code).
         lookahead_challenge_weight: Step weight of one tail frame in the challenge; the reference code has such a tail
-            too. The paper looks one second ahead, so that its cars stop dead to let the ego come near and then see it
-            drive away. 0 is the paper.
+            too. Who looks one second ahead stops dead to let the ego come near and then sees it drive away. The paper
+            names no tail.
         clearance_m: Bodies closer than this count as touching while planning; drivers keep some air, and the
-            2 Hz annotations that a metric sees cut corners by a few centimetres. 0 is the paper.
+            2 Hz annotations that a metric sees cut corners by a few centimetres. The paper names none.
         headway_s: Time gap to what is ahead or behind, at the candidate's own speed, kept while planning. Even a
-            pushy driver keeps some; without it cars sit 25 cm from a bumper at 50 km/h. 0 is the paper.
+            pushy driver keeps some; without it cars sit 25 cm from a bumper at 50 km/h. The paper names
+            none.
         raster_ego: While planning, the ego is also where the rasters of UniAD and VAD show it: 4.5 m x 2 m, half a
             metre to its left, and looking as it did half a second to three seconds before. An adversary in there would
             touch the recorded ego in their eyes, and `verify` discards it. False is the paper.
