@@ -82,6 +82,8 @@ def test_an_evaluation_that_is_killed_goes_on(source: Path, undisturbed: Path, t
 
 def interrupt_at(command: list[str], out: Path, files: int) -> None:
     """Interrupt a command and all its processes, as a terminal does, as soon as so many files are there."""
+    # Where a shell runs the tests in the background they ignore interruptions, and so would what they start.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     process = started(command)
     while process.poll() is None and sum(len(names) for _, _, names in os.walk(out)) < files:
         time.sleep(0.002)
