@@ -8,6 +8,7 @@ import pytest
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import write_json
+from benchmark.metrics.rates import PairedDifference
 from benchmark.records.ablation import find_ablations
 from benchmark.records.scene_pages import NO_SCENE_PAGES, SPLIT_FILE, find_scene_pages, split_folder
 from benchmark.report.cells import UNDEFINED
@@ -137,6 +138,19 @@ def test_the_ablation_with_its_intervals_and_the_papers_values() -> None:
     assert (full["of tried"], full["95 % of tried"], full["paper"]) == ("37.50", "[0.00, 50.00]", "6.17")
     assert (last["of kept"], last["95 % of kept"], last["mean gap, m"], last["paper"]) == (*(UNDEFINED,) * 3, "0.80")
     assert any(label == "collision rate in %, exact" for label, _ in table.groups)
+
+
+def test_an_ablation_says_whom_its_collisions_are_with() -> None:
+    older = study()
+    less = PairedDifference(value=0.125, low=-0.0123, high=0.2, recordings=2, differing=1, enough=None)
+    rows = (older.rows[0], older.rows[1].model_copy(update={"full_minus": less}))
+    newer = older.model_copy(update={"schema_version": 2, "rows": rows})
+    assert "touches anybody within 3 s" in older.table().plain(width=2000)
+    assert "touches the adversary within 3 s" in newer.table().plain(width=2000)
+    table = named(ablation_tables([newer]), "ablation-p")
+    row = row_of(table, "- MTR")
+    assert (row["full minus"], row["95 % full minus"]) == ("+12.50", "[-1.23, 20.00]")
+    assert older.content_id != newer.content_id
 
 
 def test_studies_of_one_planner_have_tables_of_their_own_a_copy_has_none_and_unknown_rows_no_published_value() -> None:
