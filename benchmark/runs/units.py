@@ -86,7 +86,14 @@ class ResultStore(Generic[Value]):
 
     def put(self, key: str, value: Value, name: str | None = None) -> None:
         """Keep a result, whole or not at all, as `get` finds it; its numbers must be finite."""
-        body = (canonical_json(_adapter(self.form).dump_python(value, mode="json", by_alias=True)) + "\n").encode()
+        try:
+            plain = _adapter(self.form).dump_python(value, mode="json", by_alias=True)
+        except ValueError as error:
+            if KeyboardInterrupt.__name__ in str(error):
+                # pydantic hides an interruption that comes while a serialiser of ours runs.
+                raise KeyboardInterrupt from error
+            raise
+        body = (canonical_json(plain) + "\n").encode()
         write_parts(self.path(name or key), (_header(key, body), body))
 
     def tidy(self, names: Collection[str]) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import BaseModel
+from pydantic import BaseModel, field_serializer
 
 from benchmark.errors import InputError
 from benchmark.runs.units import ResultStore
@@ -61,6 +61,21 @@ def test_numbers_that_are_not_finite_are_not_kept(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="JSON"):
         store.put("key", [float("nan")])
     assert not list(tmp_path.iterdir())
+
+
+class Interrupted(BaseModel):
+    value: float
+
+    @field_serializer("value")
+    def _write(self, value: float) -> float:
+        raise KeyboardInterrupt
+
+
+def test_an_interruption_while_a_result_is_put_into_words_is_one(tmp_path: Path) -> None:
+    store: ResultStore[Interrupted] = ResultStore(tmp_path, Interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        store.put("key", Interrupted(value=1.0))
+    assert not store.path("key").exists()
 
 
 def test_the_rest_is_tidied_away(tmp_path: Path) -> None:
