@@ -215,7 +215,7 @@ def measure_scene(
         return SceneTraffic({}, {})
     truths, observations = data.truth(name), list(data.observations(name))
     judged = {
-        called: _judge(truths, [one for planner in seeds for one in plan_samples(scene, observations, planner)])
+        called: _judge(truths, [one for planner in seeds for one in _plan(scene, observations, planner)])
         for called, seeds in planners.items()
     }
     return SceneTraffic(measure_figures(scene, truths), judged)
@@ -234,7 +234,7 @@ def _judge(truths: Sequence[SampleTruth], planned: Sequence[tuple[int, Plan]]) -
     return sums
 
 
-def plan_samples(scene: Scene, observations: Sequence[Observation], planner: Planner) -> list[tuple[int, Plan]]:
+def _plan(scene: Scene, observations: Sequence[Observation], planner: Planner) -> list[tuple[int, Plan]]:
     """Numbers of the samples that a planner plans for, and plans of 3 s."""
     planned = []
     planner.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))
